@@ -1,0 +1,113 @@
+"""What all commands share: where the configs are, how errors are shown, which machine this is."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import logging
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from tf_lab import __version__
+from tf_lab.errors import TFLabError
+
+
+def conf_dir() -> str:
+    """The directory of the shipped configs: inside an installed wheel, or beside ``src``."""
+    package = Path(__file__).resolve().parent
+    for candidate in (package / "conf", package.parent.parent / "conf"):
+        if candidate.is_dir():
+            return str(candidate)
+    raise TFLabError("conf/: the configs are missing; install tf_lab again")
+
+
+def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
+    """`hydra.main` on the shipped configs, with tf_lab's errors as one line and exit status 2.
+
+    A traceback is printed as well if the environment has ``TF_LAB_DEBUG=1``.
+    """
+
+    def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
+        @functools.wraps(function)
+        def guarded(cfg: DictConfig) -> None:
+            logging.captureWarnings(True)
+            try:
+                function(cfg)
+            except (TFLabError, OmegaConfBaseException) as error:
+                if os.environ.get("TF_LAB_DEBUG") == "1" or _in_sweep():
+                    raise
+                line = " ".join(str(error).split())
+                print(f"error: {line}", file=sys.stderr)
+                sys.exit(2)
+            except KeyboardInterrupt:
+                print("\ninterrupted; the same command goes on from here", file=sys.stderr)
+                sys.exit(130)
+
+        wrapped = hydra.main(version_base="1.3", config_path=conf_dir(), config_name=config_name)
+        return wrapped(guarded)
+
+    return decorate
+
+
+def _in_sweep() -> bool:
+    """Whether this is one job of several: then an error must not end the others."""
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+
+    return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
+
+
+def plain(cfg: Any) -> Any:
+    """A resolved config as plain dicts and lists."""
+    return OmegaConf.to_container(cfg, resolve=True)
+
+
+def provenance() -> dict[str, Any]:
+    """Commit, versions, machine and command line: what is needed to repeat a run."""
+    packages = ["torch", "lightning", "hydra-core", "numpy", "scipy", "scikit-image", "trimesh"]
+    return {
+        "tf_lab": __version__,
+        "commit": _commit(),
+        "command": " ".join(["python -m tf_lab." + Path(sys.argv[0]).stem, *sys.argv[1:]]),
+        "python": platform.python_version(),
+        "packages": {name: importlib.metadata.version(name) for name in packages},
+        "machine": {
+            "system": platform.platform(),
+            "cpus": os.cpu_count(),
+            "processor": _processor(),
+        },
+    }
+
+
+def _commit() -> str:
+    """The checkout's commit, "-dirty" if it has changes; "unknown" outside a checkout."""
+    here = Path(__file__).resolve().parent
+    try:
+        commit = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            cwd=here,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return commit.stdout.strip()
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()

@@ -1,0 +1,91 @@
+"""From the composed config to the objects it describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tf_lab.checkpoint import shipped_encoder
+from tf_lab.data.chunks import ChunkSettings
+from tf_lab.data.rooms import RoomSettings
+from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
+from tf_lab.errors import TFLabError
+from tf_lab.network.encoder import load_encoder_weights
+from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.online.reconstructor import ReconstructionSettings
+from tf_lab.scoring import TestSettings
+from tf_lab.training import OptimizerSettings
+
+Config = Mapping[str, Any]
+
+
+def make_network(config: Config) -> Network:
+    """The network, its encoder initialised as ``encoder.weights`` says."""
+    model = {k: v for k, v in config["model"].items() if k != "name"}
+    encoder = {k: v for k, v in config["encoder"].items() if k != "weights"}
+    network = Network(
+        NetworkConfig(
+            **model,
+            encoder=encoder,
+            fusion=config["fusion"]["strategy"],
+            depth=config["inputs"]["depth"],
+            ray=config["inputs"]["ray"],
+            refine=config["refine"],
+            filter=config["filter"],
+        )
+    )
+    shipped = shipped_encoder(config["model"]["name"])
+    load_encoder_weights(network.encoder, config["encoder"]["weights"], shipped)
+    return network
+
+
+def chunk_settings(config: Config) -> ChunkSettings:
+    """How training chunks are drawn."""
+    t = config["training"]
+    return ChunkSettings(
+        chunks=t["chunks"],
+        views=tuple(t["views"]),
+        points=t["points"],
+        near_share=t["near_share"],
+        coverage=t["coverage"],
+        augment=t["augment"],
+    )
+
+
+def optimizer_settings(config: Config) -> OptimizerSettings:
+    """Adam and its schedule."""
+    values = dict(config["optimizer"])
+    values["betas"] = tuple(values["betas"])
+    return OptimizerSettings(**values)
+
+
+def test_settings(config: Config) -> TestSettings:
+    """How scenes are reconstructed at test time."""
+    return TestSettings(
+        reconstruction=ReconstructionSettings(
+            views=config["views"],
+            threshold=config["threshold"],
+            resolution=config["resolution"],
+        ),
+        select=config["select"]["policy"],
+        seed=config["seed"],
+        keyframe_distance=config["keyframe_distance"],
+    )
+
+
+def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path]]:
+    """Scene directories of the splits, made first if they are missing.
+
+    Raises:
+        TFLabError: the data set is unknown or cannot be prepared.
+    """
+    d = config["data"]
+    if d["name"] != "rooms":
+        raise TFLabError(f"data.name={d['name']}: only rooms are known")
+    size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
+    frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
+    wanted = {
+        s: RoomSplit(size[s], RoomSettings(d["width"], d["height"], frames[s])) for s in splits
+    }
+    return prepare_rooms(Path(d["root"]).expanduser(), wanted, d["workers"])

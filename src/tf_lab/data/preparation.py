@@ -1,0 +1,68 @@
+"""Building scene directories in parallel: each is whole or absent, and none stops the others."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from tf_lab.errors import TFLabError
+from tf_lab.files import atomic_directory
+from tf_lab.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """A scene to build: its final directory, and what writes it into a temporary one."""
+
+    directory: Path
+    build: Callable[[Path], None]
+
+
+def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = None) -> None:
+    """Build the scenes that do not exist yet, one process a scene.
+
+    Args:
+        jobs: the scenes; existing directories are kept as they are.
+        title: for the progress bar.
+        workers: processes; None: one a core.
+
+    Raises:
+        TFLabError: some scenes failed (after all others were built); names them.
+    """
+    missing = [job for job in jobs if not job.directory.is_dir()]
+    if not missing:
+        return
+    workers = min(workers or os.cpu_count() or 1, len(missing))
+    failures: list[str] = []
+    context = multiprocessing.get_context("spawn")
+    with (
+        progress_bar() as bar,
+        ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool,
+    ):
+        task = bar.add_task(title, total=len(missing))
+        futures = {pool.submit(_build, job): job for job in missing}
+        for future in as_completed(futures):
+            try:
+                future.result()
+            except TFLabError as error:
+                failures.append(f"{futures[future].directory.name}: {error}")
+            bar.advance(task)
+    if failures:
+        raise TFLabError(f"{len(failures)} of {len(missing)} scenes failed: " + "; ".join(failures))
+
+
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def _build(job: SceneJob) -> None:
+    if job.directory.is_dir():  # another process was faster
+        return
+    with atomic_directory(job.directory) as temporary:
+        job.build(temporary)

@@ -1,0 +1,82 @@
+"""The layout to write when one has poses of one's own and no format yet.
+
+::
+
+    images/         JPEG or PNG, in natural order of their names
+    poses.txt       one line an image: camera to world, 4x4 (16 numbers) or 3x4 (12), row by row
+    K.txt           3x3 intrinsics of the images, pixels
+    depth/          PNG of the same stems, 16-bit millimetres, 0 = no reading (optional)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tf_lab.data.readers.folder import (
+    FolderCapture,
+    FrameFiles,
+    collect,
+    image_files,
+    image_size,
+    parse_pose,
+    read_intrinsics,
+)
+from tf_lab.errors import TFLabError
+
+NAME = "plain"
+LAYOUT = "images/, poses.txt, K.txt"
+
+
+def detect(directory: Path) -> bool:
+    """Whether images and poses lie where this layout has them."""
+    return (directory / "images").is_dir() and (directory / "poses.txt").is_file()
+
+
+def read(directory: Path) -> FolderCapture:
+    """The capture in its own world frame.
+
+    Raises:
+        TFLabError: a part is missing or damaged, or images and poses don't match.
+    """
+    folder = directory / "images"
+    images = image_files(folder) if folder.is_dir() else []
+    if not images:
+        raise TFLabError(f"{folder}: no JPEG or PNG image in it; put the colour images there")
+    poses = _read_poses(directory / "poses.txt")
+    if len(poses) != len(images):
+        raise TFLabError(
+            f"{directory}: poses.txt has {len(poses)} lines, images/ has {len(images)} images; "
+            "write one pose an image (nan for a lost frame), in the order of the images' names"
+        )
+    stems = [path.stem for path in images]
+    if len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise TFLabError(f"{folder}: two images are called {twice}; names must differ by stem")
+    size = image_size(images)
+    K = read_intrinsics(directory / "K.txt", size)
+    depths = [directory / "depth" / f"{stem}.png" for stem in stems]
+    frames = [
+        FrameFiles(stem, image, K, pose, depth if depth.exists() else None)
+        for stem, image, pose, depth in zip(stems, images, poses, depths, strict=True)
+    ]
+    return collect(directory, size, frames, skipped=[])
+
+
+def _read_poses(path: Path) -> list[np.ndarray]:
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise TFLabError(
+            f"{path}: cannot be read as text ({error}); {LAYOUT} belong together"
+        ) from error
+    poses = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            poses.append(parse_pose(line))
+        except ValueError as error:
+            raise TFLabError(f"{path}, line {number}: {error}; write one pose a line") from error
+    return poses

@@ -1,0 +1,85 @@
+"""The embedded data set: seeded, procedural, furnished rooms seen by a hand-held camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from tf_lab.data.rooms.arrange import furnish, hang_lamp
+from tf_lab.data.rooms.decor import Kit
+from tf_lab.data.rooms.footprint import FreeSpace, Placed
+from tf_lab.data.rooms.layout import Plan, build_shell, make_plan
+from tf_lab.data.rooms.materials import Textures, make_materials
+from tf_lab.data.rooms.render import Lighting, Renderer, make_lighting
+from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
+from tf_lab.data.rooms.walk import make_walk
+from tf_lab.data.scene import Frame
+
+VERSION: int = 2
+"""Changes whenever the output for the same seed does."""
+
+FIELD_OF_VIEW = np.radians(58.0)  # horizontal, about ScanNet's
+
+
+@dataclass(frozen=True)
+class RoomSettings:
+    """How a room is filmed: image size (pixels), number of frames, samples**2 rays an edge pixel."""
+
+    width: int = 160
+    height: int = 120
+    frames: int = 160
+    samples: int = 2
+
+
+@dataclass(frozen=True)
+class Room:
+    """Everything about a room but its camera."""
+
+    plan: Plan
+    placed: list[Placed]
+    geometry: RoomGeometry
+    textures: Textures
+    lighting: Lighting
+
+
+def make_room(seed: int) -> Room:
+    """The room of a seed."""
+    rng = np.random.default_rng([seed, 0])
+    palette, textures = make_materials(rng)
+    kit = Kit(Surfaces(rng), palette, rng)
+    plan = make_plan(rng)
+    build_shell(kit.s, plan, palette, rng)
+    placed = furnish(kit, plan)
+    lighting = make_lighting(plan, rng)
+    hang_lamp(kit, lighting.positions[0], plan.height)
+    return Room(plan, placed, kit.s.build(), textures, lighting)
+
+
+def room_mesh(seed: int, settings: RoomSettings) -> trimesh.Trimesh:
+    """The room's surface (metres, z up, floor at 0), exactly what `generate_room` renders."""
+    return make_room(seed).geometry.mesh()
+
+
+def intrinsics(settings: RoomSettings) -> np.ndarray:
+    """K [3, 3] of the camera: square pixels, centred."""
+    focal = settings.width / 2 / np.tan(FIELD_OF_VIEW / 2)
+    centre = (settings.width - 1) / 2, (settings.height - 1) / 2
+    return np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
+
+
+def generate_room(seed: int, settings: RoomSettings) -> Iterator[Frame]:
+    """Film the room of a seed: the same seed and settings give the same frames."""
+    room = make_room(seed)
+    K = intrinsics(settings)
+    size = settings.width, settings.height
+    renderer = Renderer(room.geometry, room.textures, room.lighting, K, size, settings.samples)
+    rng = np.random.default_rng([seed, 1])
+    space = FreeSpace(room.plan, room.placed)
+    targets = room.geometry.sample(600, rng)
+    poses = make_walk(space, renderer.scene, targets, settings.frames, rng)
+    for number, pose in enumerate(poses):
+        image, depth = renderer.film(pose, poses[max(number - 1, 0)], rng)
+        yield Frame(f"{number:06d}", image, K, pose, depth)

@@ -1,0 +1,118 @@
+"""A scene on disk: frames stored once, with cameras, provenance and (if known) ground truth.
+
+Layout of a scene directory::
+
+    scene.json           format version, name, image size, provenance, skipped frames
+    cameras.npz          K [N,3,3], world_T_cam [N,4,4], frames [N], source_R_world [3,3]
+    color/<frame>.jpg    RGB
+    depth/<frame>.png    16-bit millimetres, 0 = no reading (absent without depth)
+    groundtruth/         see `groundtruth.py` (absent without ground truth)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from tf_lab.data.capture import read_depth, read_image
+from tf_lab.errors import TFLabError
+from tf_lab.files import write_json
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One posed image: uint8 [H,W,3], K [3,3], world_T_cam [4,4], depth float32 [H,W] (m) or None."""
+
+    name: str
+    image: np.ndarray
+    K: np.ndarray
+    world_T_cam: np.ndarray
+    depth: np.ndarray | None = None
+
+
+def write_scene(
+    directory: Path, frames: Iterable[Frame], provenance: dict[str, Any], name: str
+) -> Scene:
+    """Write frames as a scene directory (not atomic: give a temporary directory) and open it."""
+    (directory / "color").mkdir(parents=True)
+    names, Ks, poses, size = [], [], [], (0, 0)
+    for frame in frames:
+        size = (frame.image.shape[1], frame.image.shape[0])
+        Image.fromarray(frame.image).save(directory / "color" / f"{frame.name}.jpg", quality=95)
+        if frame.depth is not None:
+            (directory / "depth").mkdir(exist_ok=True)
+            millimetres = np.round(frame.depth * 1000).clip(0, 65534).astype(np.uint16)
+            Image.fromarray(millimetres).save(directory / "depth" / f"{frame.name}.png")
+        names.append(frame.name)
+        Ks.append(frame.K)
+        poses.append(frame.world_T_cam)
+    if not names:
+        raise TFLabError(f"{name}: no usable frame")
+    np.savez(
+        directory / "cameras.npz",
+        K=np.asarray(Ks, np.float64),
+        world_T_cam=np.asarray(poses, np.float64),
+        frames=np.asarray(names),
+        source_R_world=np.eye(3),
+    )
+    meta = {"format": FORMAT, "name": name, "size": size, "provenance": provenance, "skipped": []}
+    write_json(directory / "scene.json", meta)
+    return Scene(directory)
+
+
+class Scene:
+    """A scene directory, opened: a `Capture` whose images lie in one known layout.
+
+    Raises:
+        TFLabError: the directory is missing, incomplete or of another format version.
+    """
+
+    def __init__(self, directory: Path | str) -> None:
+        self.directory = Path(directory)
+        meta_file = self.directory / "scene.json"
+        try:
+            meta = json.loads(meta_file.read_text())
+            with np.load(self.directory / "cameras.npz") as cameras:
+                self.K = cameras["K"]
+                self.world_T_cam = cameras["world_T_cam"]
+                self.frames = [str(name) for name in cameras["frames"]]
+                self.source_R_world = cameras["source_R_world"]
+            self.name: str = meta["name"]
+            self.size: tuple[int, int] = (meta["size"][0], meta["size"][1])
+            self.provenance: dict[str, Any] = meta["provenance"]
+            self.skipped: list[str] = meta["skipped"]
+        except FileNotFoundError as error:
+            raise TFLabError(f"{error.filename}: missing; prepare the scene again") from error
+        except Exception as error:  # any damage: json, zip, keys
+            raise TFLabError(
+                f"{self.directory}: the scene is damaged ({error}); delete it and prepare it again"
+            ) from error
+        if meta["format"] != FORMAT:
+            raise TFLabError(
+                f"{meta_file}: scene format {meta['format']}, expected {FORMAT}; prepare it again"
+            )
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def image(self, index: int) -> np.ndarray:
+        """uint8 [H, W, 3] RGB."""
+        return read_image(self.directory / "color" / f"{self.frames[index]}.jpg")
+
+    def depth(self, index: int) -> np.ndarray | None:
+        """float32 [H, W] camera z in metres, 0 where unknown; None without depth."""
+        path = self.directory / "depth" / f"{self.frames[index]}.png"
+        return read_depth(path) if path.exists() else None
+
+    @property
+    def groundtruth(self) -> Path:
+        """The directory of the scene's ground truth."""
+        return self.directory / "groundtruth"

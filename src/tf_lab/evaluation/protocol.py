@@ -1,0 +1,217 @@
+"""The evaluation protocol that the authors of TransformerFusion released: files in, metrics out.
+
+Published layout::
+
+    predictions/<scene>.ply
+    groundtruth/<scene>/mesh_gt.ply          its vertices are the ground-truth points
+    groundtruth/<scene>/occlusion_mask.npy   [X, Y, Z], 1 where never observed
+    groundtruth/<scene>/world2grid.txt       4x4, world metres to voxel centres
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.metrics import (
+    THRESHOLD,
+    Metrics,
+    empty_metrics,
+    mean_metrics,
+    reconstruction_metrics,
+    visibility,
+)
+
+PROTOCOL = "transformerfusion"
+SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
+
+# key, heading of the paper's table, format
+COLUMNS = (
+    ("acc", "Acc", ".2f"),
+    ("compl", "Compl", ".2f"),
+    ("chamfer", "Chamfer", ".2f"),
+    ("prec", "Prec", ".3f"),
+    ("recall", "Recall", ".3f"),
+    ("fscore", "F-score", ".3f"),
+)
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """points [G, 3] in metres; occlusion_mask [X, Y, Z]; world2grid [4, 4] (see `visibility`)."""
+
+    points: np.ndarray
+    occlusion_mask: np.ndarray
+    world2grid: np.ndarray
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """A PLY mesh with its vertices as stored; it may have no faces, or be empty.
+
+    Raises:
+        TFLabError: the file is missing, not a PLY, cut short, or holds impossible values.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
+    try:
+        loaded = trimesh.load(path, file_type="ply", process=False)
+    except Exception as error:  # trimesh raises whatever the damage leads to
+        raise TFLabError(f"{path}: not a readable PLY mesh ({error}); write it again") from error
+    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), np.float64)
+    faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), np.int64)
+    # trimesh takes an ASCII file that was cut short for a smaller mesh.
+    declared = dict(re.findall(rb"element (vertex|face) (\d+)", content.split(b"end_header")[0]))
+    if len(vertices) < int(declared.get(b"vertex", 0)) or len(faces) < int(
+        declared.get(b"face", 0)
+    ):
+        raise TFLabError(f"{path}: fewer vertices or faces than its header says; write it again")
+    if not np.isfinite(vertices).all():
+        raise TFLabError(f"{path}: a vertex is NaN or infinite; remove such vertices")
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise TFLabError(f"{path}: a face refers to a vertex that does not exist; write it again")
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def read_groundtruth(directory: Path) -> GroundTruth:
+    """The ground truth of one scene in the published layout.
+
+    Raises:
+        TFLabError: a file is missing, damaged or of a wrong shape.
+    """
+    points = np.asarray(read_mesh(directory / "mesh_gt.ply").vertices)
+    if len(points) == 0:
+        raise TFLabError(f"{directory / 'mesh_gt.ply'}: has no vertex; prepare the scene again")
+    mask = _read_array(directory / "occlusion_mask.npy", np.load)
+    if mask.ndim != 3 or 0 in mask.shape:
+        raise TFLabError(
+            f"{directory / 'occlusion_mask.npy'}: shape {mask.shape}, expected three dimensions"
+        )
+    matrix = _read_array(directory / "world2grid.txt", np.loadtxt)
+    if matrix.shape != (4, 4):
+        raise TFLabError(f"{directory / 'world2grid.txt'}: shape {matrix.shape}, expected (4, 4)")
+    if not np.allclose(matrix[3], (0, 0, 0, 1)) or abs(np.linalg.det(matrix)) < 1e-12:
+        raise TFLabError(
+            f"{directory / 'world2grid.txt'}: not an invertible matrix with last row 0 0 0 1"
+        )
+    return GroundTruth(points, mask, matrix)
+
+
+def _read_array(path: Path, reader: Callable[[Path], np.ndarray]) -> np.ndarray:
+    try:
+        array = np.asarray(reader(path))
+        if array.dtype.kind not in "biuf":
+            raise ValueError(f"it holds {array.dtype}, not numbers")
+    except FileNotFoundError as error:
+        raise TFLabError(f"{path}: missing; the published layout needs it") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise TFLabError(f"{path}: cannot be read as an array ({error})") from error
+    if not np.isfinite(array).all():
+        raise TFLabError(f"{path}: holds NaN or infinity")
+    return array
+
+
+def evaluate_scene(
+    prediction: Path | trimesh.Trimesh | None, groundtruth_dir: Path, seed: int = 0
+) -> Metrics:
+    """Metrics of one reconstruction; distances in cm.
+
+    Args:
+        prediction: a PLY file, a mesh in metres, or None. A missing file counts as None.
+        groundtruth_dir: the scene's folder of the published layout.
+        seed: seed of the surface samples.
+
+    Raises:
+        TFLabError: a file is damaged, or the ground truth is incomplete.
+    """
+    truth = read_groundtruth(groundtruth_dir)
+    if isinstance(prediction, Path):
+        prediction = read_mesh(prediction) if prediction.exists() else None
+    if prediction is None or not prediction.area > 0:
+        return empty_metrics()
+    points, _ = trimesh.sample.sample_surface(prediction, SAMPLES, seed=seed)
+    points = np.asarray(points)
+    visible = visibility(points, truth.occlusion_mask, truth.world2grid)
+    return reconstruction_metrics(points, visible, truth.points)
+
+
+def scene_names(groundtruth: Path) -> list[str]:
+    """The scenes of a ground truth in the published layout: its folders, sorted.
+
+    Raises:
+        TFLabError: there is no such folder or no scene in it.
+    """
+    if not groundtruth.is_dir():
+        raise TFLabError(f"{groundtruth}: no such folder; give the folder of all ground truths")
+    names = [p.name for p in groundtruth.iterdir() if p.is_dir() and not p.name.startswith(".")]
+    if not names:
+        raise TFLabError(f"{groundtruth}: no scene folder in it; expected <scene>/mesh_gt.ply")
+    return sorted(names)
+
+
+def evaluate(
+    predictions: Path,
+    groundtruth: Path,
+    seed: int = 0,
+    track: Callable[[list[str]], Iterable[str]] = iter,
+) -> dict[str, Any]:
+    """Evaluate every scene of the ground truth.
+
+    Args:
+        predictions: folder of <scene>.ply; a missing one scores as an empty mesh.
+        groundtruth: folder of <scene>/ in the published layout.
+        seed: seed of the surface samples, for each scene alike.
+        track: wraps the list of scenes, for instance in a progress bar.
+
+    Returns:
+        ``protocol``, ``mean`` and ``scenes`` (metrics.json), ``settings``, ``missing`` (the scenes
+        without a prediction) and ``failed`` (scene -> message of those that could not be
+        evaluated; the mean leaves them out, so a caller must not pass over them).
+
+    Raises:
+        TFLabError: a folder is missing, or no scene at all could be evaluated.
+    """
+    if not predictions.is_dir():
+        raise TFLabError(f"{predictions}: no such folder; give the folder of <scene>.ply files")
+    names = scene_names(groundtruth)
+    scenes: dict[str, Metrics] = {}
+    failed: dict[str, str] = {}
+    for name in track(names):
+        try:
+            scenes[name] = evaluate_scene(predictions / f"{name}.ply", groundtruth / name, seed)
+        except TFLabError as error:
+            failed[name] = str(error)
+    if not scenes:
+        raise TFLabError("no scene could be evaluated: " + "; ".join(failed.values()))
+    return {
+        "protocol": PROTOCOL,
+        "mean": mean_metrics(scenes.values()),
+        "scenes": scenes,
+        "settings": {"seed": seed, "threshold_cm": 100 * THRESHOLD, "n_points": SAMPLES},
+        "missing": [name for name in names if not (predictions / f"{name}.ply").exists()],
+        "failed": failed,
+    }
+
+
+def format_row(label: str, mean: Mapping[str, float], width: int = 24) -> str:
+    """One row of the paper's table: cm with 2 decimals, ratios with 3, the label padded."""
+    return " ".join([label.ljust(width), *(f"{mean[key]:>8{form}}" for key, _, form in COLUMNS)])
+
+
+def format_table(rows: Sequence[tuple[str, Mapping[str, float]]], first: str = "Method") -> str:
+    """The paper's table as aligned text, one (label, metrics) a row.
+
+    ``first`` is the heading of the labels' column.
+    """
+    width = max([len(first), *(len(label) for label, _ in rows)])
+    heading = " ".join([first.ljust(width), *(f"{title:>8}" for _, title, _ in COLUMNS)])
+    lines = [format_row(label, metrics, width) for label, metrics in rows]
+    return "\n".join([heading, "-" * len(heading), *lines])

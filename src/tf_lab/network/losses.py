@@ -1,0 +1,82 @@
+"""L = L_c + L_f + L_o (paper, Sec. 3), and an optional signed-distance term (ours)."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from tf_lab.network.network import Predictions
+
+NEAR_WEIGHT = 2.0  # of near-surface voxels in L_c and L_f (paper, Sec. 3.5)
+SDF_SCALE, SDF_CLIP = 0.03, 3.0  # metres per unit of logit, largest target
+
+
+def mask_loss(logits: Tensor, target: Tensor, where: Tensor) -> Tensor:
+    """BCE of near-surface masks, near-surface voxels weighing double, over voxels ``where``.
+
+    Args:
+        logits: [B, X, Y, Z].
+        target: bool [B, X, Y, Z].
+        where: bool [B, X, Y, Z]; 0 is returned if none is set.
+    """
+    logits, truth = logits[where], target[where].float()
+    loss = F.binary_cross_entropy_with_logits(
+        logits, truth, weight=1 + (NEAR_WEIGHT - 1) * truth, reduction="sum"
+    )
+    return loss / max(1, truth.numel())
+
+
+def occupancy_loss(logits: Tensor, occupied: Tensor, where: Tensor) -> Tensor:
+    """BCE of occupancy [B, P] over the points ``where``; 0 if there are none."""
+    loss = F.binary_cross_entropy_with_logits(
+        logits[where], occupied[where].float(), reduction="sum"
+    )
+    return loss / max(1, int(where.sum()))
+
+
+def sdf_loss(logits: Tensor, sdf: Tensor, where: Tensor) -> Tensor:
+    """Smooth L1 between occupancy logits and the scaled, clipped negative signed distance.
+
+    Not in the paper: it tells the perceptron how far the surface is, which BCE alone does not.
+
+    Args:
+        logits: [B, P].
+        sdf: [B, P] in metres, positive in free space.
+        where: bool [B, P].
+    """
+    target = (-sdf / SDF_SCALE).clamp(-SDF_CLIP, SDF_CLIP)
+    loss = F.smooth_l1_loss(logits[where], target[where], reduction="sum")
+    return loss / max(1, int(where.sum()))
+
+
+def losses(
+    predictions: Predictions,
+    coarse_target: Tensor,
+    fine_target: Tensor,
+    sdf: Tensor,
+    use_masks: bool,
+    sdf_weight: float,
+) -> dict[str, Tensor]:
+    """All terms and their weighted sum "loss".
+
+    Args:
+        predictions: of the network.
+        coarse_target, fine_target: bool [B, X, Y, Z], the true near-surface masks.
+        sdf: [B, P] in metres, positive in front of the surface, NaN where unknown.
+        use_masks: False for ``filter=false``: L = L_o.
+        sdf_weight: of the signed-distance term; 0 in the paper.
+    """
+    p = predictions
+    where = p.seen & ~torch.isnan(sdf)
+    terms = {"occupancy": occupancy_loss(p.occupancy, sdf < 0, where)}
+    total = terms["occupancy"]
+    if use_masks:
+        terms["coarse"] = mask_loss(p.coarse, coarse_target, p.coarse_seen)
+        terms["fine"] = mask_loss(p.fine, fine_target, p.fine_active)
+        total = total + terms["coarse"] + terms["fine"]
+    if sdf_weight > 0:
+        terms["sdf"] = sdf_loss(p.occupancy, sdf, where)
+        total = total + sdf_weight * terms["sdf"]
+    terms["loss"] = total
+    return terms

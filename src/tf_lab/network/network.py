@@ -1,0 +1,242 @@
+"""TransformerFusion's network: encoder, fusion at two levels, refinement, masks, occupancy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
+from tf_lab.network.encoder import Encoder, normalise_images
+from tf_lab.network.fusion import STRATEGIES
+from tf_lab.network.occupancy import OccupancyMLP
+from tf_lab.network.refinement import Refinement
+from tf_lab.network.tokens import Tokens, measure
+
+LEVELS = ("coarse", "fine")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Everything that shapes the weights' names and sizes, and nothing else.
+
+    Attributes:
+        width: D, the width of tokens, fused and refined features.
+        blocks, heads, expansion: of each fusion module.
+        fusion: "transformer", "avg" or "pred".
+        depth, ray: whether tokens get the projected depth and the viewing ray.
+        refine: whether 3D CNNs refine the features.
+        refine_blocks: residual blocks a level.
+        filter: whether near-surface masks are trained and used.
+        hidden: width of the occupancy perceptron.
+        near, far: valid depth range, metres.
+        encoder: arguments of `Encoder`.
+    """
+
+    width: int
+    blocks: int
+    heads: int
+    expansion: float
+    hidden: int
+    refine_blocks: int
+    encoder: dict[str, Any] = field(default_factory=dict)
+    fusion: str = "transformer"
+    depth: bool = True
+    ray: bool = True
+    refine: bool = True
+    filter: bool = True
+    near: float = 0.3
+    far: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.fusion not in STRATEGIES:
+            raise TFLabError(f"fusion={self.fusion}: choose one of {', '.join(STRATEGIES)}")
+        if self.width % self.heads:
+            raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")
+
+
+@dataclass
+class Predictions:
+    """What training compares with the ground truth.
+
+    Attributes:
+        coarse: near-surface logits [B, X, Y, Z] and ``coarse_seen`` bool, where some view sees.
+        fine: near-surface logits [B, 3X', 3Y', 3Z'] and ``fine_active`` bool, where computed.
+        occupancy: logits [B, P] and ``seen`` bool, where some view sees the point.
+    """
+
+    coarse: Tensor
+    coarse_seen: Tensor
+    fine: Tensor
+    fine_active: Tensor
+    occupancy: Tensor
+    seen: Tensor
+
+
+class Network(nn.Module):
+    """The whole network. Stateless between calls; view sets live in `tf_lab.online`."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        c = config
+        self.config = config
+        self.encoder = Encoder(**c.encoder)
+        channels = {
+            "coarse": c.encoder["coarse_channels"],
+            "fine": c.encoder["fine_channels"],
+        }
+        self.tokens = nn.ModuleDict(
+            {name: Tokens(channels[name], c.width, c.depth, c.ray) for name in LEVELS}
+        )
+        self.fusion = nn.ModuleDict(
+            {name: STRATEGIES[c.fusion](c.width, c.blocks, c.heads, c.expansion) for name in LEVELS}
+        )
+        self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
+        self.occupancy = OccupancyMLP(c.width, c.hidden)
+
+    def encode(self, images: Tensor) -> dict[str, Tensor]:
+        """Images of 0..255 [N, 3, H, W] to feature maps {"coarse", "fine"} [N, C, h, w]."""
+        x = normalise_images(images).contiguous(memory_format=torch.channels_last)
+        coarse, fine = self.encoder(x)
+        return {"coarse": coarse, "fine": fine}
+
+    def embed(
+        self,
+        level: str,
+        maps: Tensor,
+        points: Tensor,
+        K: Tensor,
+        world_T_cam: Tensor,
+        size: tuple[int, int],
+    ) -> tuple[Tensor, Tensor]:
+        """Tokens of points in views.
+
+        Args:
+            level: "coarse" or "fine".
+            maps: [N, C, h, w] of that level.
+            points: [P, 3] or [N, P, 3], metres.
+            K: [N, 3, 3].
+            world_T_cam: [N, 4, 4].
+            size: (width, height) of the images, pixels.
+
+        Returns:
+            Tokens [N, P, D] and their validity [N, P].
+        """
+        depth_range = (self.config.near, self.config.far)
+        phi, depth, valid, ray = measure(maps, points, K, world_T_cam, size, depth_range)
+        return self.tokens[level](phi, depth, valid, ray), valid
+
+    def fuse(self, level: str, tokens: Tensor, slots: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
+        return self.fusion[level](tokens, slots)
+
+    def forward(
+        self,
+        images: Tensor,
+        K: Tensor,
+        world_T_cam: Tensor,
+        coarse_grid: VoxelGrid,
+        fine_grid: VoxelGrid,
+        points: Tensor,
+        coarse_target: Tensor | None,
+    ) -> Predictions:
+        """One training pass over chunks that share a grid, each in its own frame.
+
+        Args:
+            images: [B, V, 3, H, W], 0..255.
+            K: [B, V, 3, 3].
+            world_T_cam: [B, V, 4, 4], camera to chunk.
+            coarse_grid: the chunk's coarse voxels with a margin of whole voxels on all sides.
+            fine_grid: the chunk's fine voxels.
+            points: [B, P, 3] where occupancy is asked for.
+            coarse_target: bool [B, X, Y, Z]; the fine level is computed where it or the predicted
+                coarse mask is true, so that it meets in training what it will meet at test time.
+        """
+        B, V = images.shape[:2]
+        size = (images.shape[-1], images.shape[-2])
+        maps = {k: m.unflatten(0, (B, V)) for k, m in self.encode(images.flatten(0, 1)).items()}
+
+        def seen_by_any(p: Tensor, b: int) -> Tensor:
+            return self.visible(p, K[b], world_T_cam[b], size).any(0)
+
+        centers = coarse_grid.centers().to(K.device)
+        psi, seen = [], []
+        for b in range(B):
+            tokens, valid = self.embed(
+                "coarse", maps["coarse"][b], centers.reshape(-1, 3), K[b], world_T_cam[b], size
+            )
+            psi.append(tokens.transpose(0, 1))
+            seen.append(valid.any(0).view(coarse_grid.shape))
+        coarse_seen = torch.stack(seen)
+        fused, _ = self.fuse("coarse", torch.stack(psi), None)
+        volume = fused.view(B, *coarse_grid.shape, -1).permute(0, 4, 1, 2, 3)
+        volume = volume * coarse_seen.unsqueeze(1)
+        coarse, coarse_logits = self.refinement.coarse(volume, coarse_seen)
+
+        near = torch.ones_like(coarse_seen)
+        if self.config.filter:
+            near = coarse_logits.detach() > 0
+            if coarse_target is not None:
+                near = near | coarse_target
+        fine_centers = fine_grid.centers().to(K.device).reshape(-1, 3)
+        inner = subgrid(coarse_grid, fine_grid)
+        near = (near & coarse_seen)[(slice(None), *inner)]
+        for axis in (1, 2, 3):
+            near = near.repeat_interleave(3, dim=axis)
+        fine_active = near & torch.stack(
+            [seen_by_any(fine_centers, b).view(fine_grid.shape) for b in range(B)]
+        )
+        fine_tokens = []
+        for b in range(B):
+            active_points = fine_centers[fine_active[b].flatten()]
+            tokens, _ = self.embed(
+                "fine", maps["fine"][b], active_points, K[b], world_T_cam[b], size
+            )
+            fine_tokens.append(tokens.transpose(0, 1))
+        fused, _ = self.fuse("fine", torch.cat(fine_tokens), None)
+        fine_volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
+        fine_volume[fine_active] = fused
+        coarse_inner = coarse[(slice(None), slice(None), *inner)]
+        fine, fine_logits = self.refinement.fine(
+            coarse_inner, fine_volume.permute(0, 4, 1, 2, 3), fine_active
+        )
+        occupancy = torch.stack(
+            [
+                self.decode(coarse[b], coarse_grid, fine[b], fine_grid, points[b])
+                for b in range(B)
+            ]
+        )
+        seen_points = torch.stack([seen_by_any(points[b], b) for b in range(B)])
+        return Predictions(
+            coarse_logits, coarse_seen, fine_logits, fine_active, occupancy, seen_points
+        )
+
+    def decode(
+        self,
+        coarse: Tensor,
+        coarse_grid: VoxelGrid,
+        fine: Tensor,
+        fine_grid: VoxelGrid,
+        points: Tensor,
+    ) -> Tensor:
+        """Occupancy logits [P] at points [P, 3] from refined volumes [D, X, Y, Z]."""
+        return self.occupancy(coarse_grid.sample(coarse, points), fine_grid.sample(fine, points))
+
+    def visible(
+        self, points: Tensor, K: Tensor, world_T_cam: Tensor, size: tuple[int, int]
+    ) -> Tensor:
+        """Whether views [N] see points [P, 3], occlusion apart: bool [N, P]."""
+        uv, depth = project(points, K, invert_pose(world_T_cam))
+        return in_view(uv, depth, size, self.config.near, self.config.far)
+
+
+def subgrid(coarse: VoxelGrid, fine: VoxelGrid) -> tuple[slice, slice, slice]:
+    """The coarse voxels that hold the fine grid (aligned to them, 3 to 1), as slices."""
+    start = [
+        round((f - c) / coarse.voxel) for c, f in zip(coarse.origin, fine.origin, strict=True)
+    ]
+    x, y, z = (slice(s, s + n // 3) for s, n in zip(start, fine.shape, strict=True))
+    return x, y, z

@@ -1,0 +1,1 @@
+"""Online reconstruction: keyframes, view sets, lazy fusion, meshing."""

@@ -1,0 +1,86 @@
+"""Run identity: which settings shape the weights, which only the evaluation (DESIGN).
+
+A training is found again by the hash of what shapes its weights, so that it is done once, whatever
+is asked of it at test time, and an interrupted one goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+TRAINING_GROUPS = ("model", "encoder", "fusion", "inputs", "optimizer", "refine", "filter", "seed")
+TRAINING_KEYS = ("chunks", "views", "points", "near_share", "coverage", "augment", "sdf_weight")
+TRAIN_DATA = ("name", "size", "width", "height", "frames")
+TEST_DATA = ("test_size", "test_frames")
+TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")
+
+
+def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a resolved config that shapes the weights."""
+    identity = {key: config[key] for key in TRAINING_GROUPS}
+    identity["training"] = {key: config["training"][key] for key in TRAINING_KEYS}
+    identity["data"] = {key: config["data"][key] for key in TRAIN_DATA}
+    identity["precision"] = config["trainer"]["precision"]
+    return identity
+
+
+def evaluation_identity(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a resolved config that shapes the scores, given the training."""
+    identity = {key: config[key] for key in TEST_KEYS}
+    identity["data"] = {key: config["data"][key] for key in TEST_DATA}
+    return identity
+
+
+def key_of(*identity: Mapping[str, Any]) -> str:
+    """A short hash, the same for the same settings."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
+
+
+def training_directory(config: Mapping[str, Any]) -> Path:
+    """Where the training of a resolved config lies."""
+    name = [config["model"]["name"], *_changes(config), f"seed{config['seed']}"]
+    key = key_of(training_identity(config))
+    return Path(config["output"]) / "trainings" / "-".join([*name, key])
+
+
+def run_directory(config: Mapping[str, Any]) -> Path:
+    """Where the evaluation of a resolved config lies."""
+    select = "attn" if config["select"]["policy"] == "attention" else "rnd"
+    name = [config["model"]["name"], *_changes(config), f"views{config['views']}", select]
+    key = key_of(training_identity(config), evaluation_identity(config))
+    return Path(config["output"]) / "runs" / "-".join([*name, f"seed{config['seed']}", key])
+
+
+def row_label(config: Mapping[str, Any]) -> str:
+    """The row of the paper's tables that a config is."""
+    parts = []
+    if config["fusion"]["strategy"] != "transformer":
+        parts.append(f"w/o TRSF, {config['fusion']['strategy']}")
+    if not config["refine"]:
+        parts.append("w/o spatial ref.")
+    if not config["filter"]:
+        parts.append("w/o C2F filter")
+    if not config["inputs"]["depth"]:
+        parts.append("w/o projected depth")
+    if not config["inputs"]["ray"]:
+        parts.append("w/o view ray")
+    random = config["select"]["policy"] == "random"
+    if config["views"] != 16 or random:
+        parts.append(f"{config['views']} images" + (", RND" if random else ""))
+    return "Ours" + (": " + ", ".join(parts) if parts else "")
+
+
+def _changes(config: Mapping[str, Any]) -> list[str]:
+    """Short names of what differs from the full network."""
+    names = []
+    if config["fusion"]["strategy"] != "transformer":
+        names.append(config["fusion"]["strategy"])
+    names += [] if config["inputs"]["depth"] else ["no_depth"]
+    names += [] if config["inputs"]["ray"] else ["no_ray"]
+    names += [] if config["refine"] else ["no_refine"]
+    names += [] if config["filter"] else ["no_filter"]
+    return names

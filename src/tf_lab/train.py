@@ -1,0 +1,171 @@
+"""Train (or reuse the identical finished training), evaluate on the test split, print the row.
+
+python -m tf_lab.train [overrides]
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+import yaml
+from filelock import FileLock
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
+from omegaconf import DictConfig
+
+from tf_lab.checkpoint import load_network, save_network
+from tf_lab.commands import command, plain, provenance
+from tf_lab.configuration import (
+    chunk_settings,
+    make_network,
+    optimizer_settings,
+    prepare_data,
+    test_settings,
+)
+from tf_lab.data.datamodule import SceneDataModule
+from tf_lab.evaluation.protocol import format_table
+from tf_lab.files import atomic_path, write_json
+from tf_lab.pictures import loss_curve
+from tf_lab.study.runs import row_label, run_directory, training_directory
+from tf_lab.testing import read_metrics, test_network
+from tf_lab.training import Training, TrainingProgress
+
+log = logging.getLogger(__name__)
+Config = Mapping[str, Any]
+
+
+@command("train")
+def main(cfg: DictConfig) -> None:
+    """Train, evaluate, print the row in the paper's format."""
+    config = plain(cfg)
+    checkpoint = train(config)
+    run = run_directory(config)
+    metrics = read_metrics(run)
+    if metrics is None:
+        network, info = load_network(checkpoint)
+        test = prepare_data(config, ("test",))["test"]
+        metrics = test_network(network, test, test_settings(config), run, row_label(config))
+        write_config(run, config)
+        write_json(run / "run.json", {**provenance(), "checkpoint": str(checkpoint), **info})
+    else:
+        print(f"reusing the identical finished evaluation {run}")
+    print(format_table([*metrics["scenes"].items(), (row_label(config), metrics["mean"])]))
+    print(f"training: {checkpoint.parent}\nrun:      {run}")
+
+
+def train(config: Config) -> Path:
+    """The checkpoint of the config's training: found, resumed or trained from the start."""
+    directory = training_directory(config)
+    directory.mkdir(parents=True, exist_ok=True)
+    checkpoint = directory / "model.safetensors"
+    with FileLock(directory / ".lock"):
+        if checkpoint.exists():
+            print(f"reusing the identical finished training {directory}")
+            return checkpoint
+        write_config(directory, config)
+        _fit(config, directory, checkpoint)
+    return checkpoint
+
+
+def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
+    L.seed_everything(config["seed"], verbose=False)
+    splits = prepare_data(config, ("train", "val"))
+    network = make_network(config)
+    if config["trainer"]["compile"]:
+        for part in (network.encoder, network.fusion["coarse"], network.fusion["fine"]):
+            part.compile(dynamic=True)
+    optimizer = optimizer_settings(config)
+    module = Training(
+        network, optimizer, config["training"]["sdf_weight"], test_settings(config)
+    )
+    data = SceneDataModule(
+        splits,
+        chunk_settings(config),
+        network.config.near,
+        network.config.far,
+        config["seed"],
+        config["trainer"]["workers"],
+    )
+    trainer = _trainer(config, directory)
+    last = directory / "last.ckpt"
+    if last.exists():
+        print(f"resuming {last}")
+    start = time.time()
+    trainer.fit(module, data, ckpt_path=str(last) if last.exists() else None, weights_only=True)
+    if trainer.global_step < optimizer.steps:
+        raise KeyboardInterrupt  # Lightning turns the signal into a silent end
+    if trainer.is_global_zero:
+        seconds = round(time.time() - start, 1)
+        info = {"training": {**provenance(), "config": config, "seconds": seconds}}
+        logs = sorted(directory.glob("logs/version_*/metrics.csv"))
+        if logs:
+            loss_curve(logs, directory / "loss.png")
+        save_network(network, checkpoint, info)
+        last.unlink(missing_ok=True)
+
+
+def _trainer(config: Config, directory: Path) -> L.Trainer:
+    arguments = {k: v for k, v in config["trainer"].items() if k not in ("compile", "workers")}
+    t = config["training"]
+    steps = config["optimizer"]["steps"]
+    saving = ModelCheckpoint(
+        directory,
+        filename="last",
+        every_n_train_steps=t["save_every"],
+        save_top_k=1,
+        enable_version_counter=False,
+        save_on_train_epoch_end=False,
+    )
+    validate = t["validate_every"]
+    return L.Trainer(
+        max_steps=steps,
+        val_check_interval=min(validate, steps) if validate else None,
+        limit_val_batches=1.0 if validate and config["data"]["val_size"] else 0,
+        check_val_every_n_epoch=None,
+        num_sanity_val_steps=0,
+        gradient_clip_val=config["optimizer"]["clip"] or None,
+        callbacks=[saving, TrainingProgress()],
+        logger=make_logger(config, directory),
+        log_every_n_steps=5,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        use_distributed_sampler=False,
+        **arguments,
+    )
+
+
+def make_logger(config: Config, directory: Path) -> Sequence[Logger]:
+    """The CSV logger, which the loss curve is drawn from, and the one that is asked for."""
+    kind = config["logger"]["kind"]
+    loggers: list[Logger] = [CSVLogger(directory, name="logs", flush_logs_every_n_steps=20)]
+    if kind == "tensorboard":
+        loggers.append(TensorBoardLogger(directory, name="tensorboard"))
+    if kind == "wandb":
+        loggers.append(
+            WandbLogger(
+                name=directory.name,
+                id=directory.name,
+                save_dir=directory,
+                project=config["logger"]["project"],
+                offline=config["logger"]["offline"],
+                config=dict(config),
+            )
+        )
+    return loggers
+
+
+def write_config(directory: Path, config: Config) -> None:
+    """Save a resolved config."""
+    with atomic_path(directory / "config.yaml") as temporary:
+        temporary.write_text(yaml.safe_dump(dict(config), sort_keys=False))
+
+
+if __name__ == "__main__":
+    torch.set_float32_matmul_precision("high")
+    main()

@@ -1,0 +1,175 @@
+"""The LightningModule: losses, optimiser, schedule, validation on whole scenes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import Callback
+from rich.progress import Progress, TaskID
+from torch import Tensor
+
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch
+from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.network.losses import losses
+from tf_lab.network.network import Network
+from tf_lab.progress import progress_bar
+from tf_lab.scoring import TestSettings, reconstruct
+
+
+@dataclass(frozen=True)
+class OptimizerSettings:
+    """Adam and its schedule.
+
+    Attributes:
+        lr: peak learning rate (1e-4 in the paper).
+        betas, eps, weight_decay: of Adam (paper: (0.9, 0.999), 1e-8, 1e-4).
+        schedule: "inverse_sqrt" (paper) or "cosine" (to 0 at the last step).
+        warmup: steps of linear warm-up (5000 in the paper).
+        steps: all steps.
+        clip: largest gradient norm; 0: none (paper).
+    """
+
+    lr: float
+    betas: tuple[float, float]
+    eps: float
+    weight_decay: float
+    schedule: str
+    warmup: int
+    steps: int
+    clip: float
+
+    def __post_init__(self) -> None:
+        if self.schedule not in ("inverse_sqrt", "cosine"):
+            raise TFLabError(
+                f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine"
+            )
+
+    def factor(self, step: int) -> float:
+        """The learning rate at a step (from 0) over the peak."""
+        warm = min(1.0, (step + 1) / max(1, self.warmup))
+        if self.schedule == "inverse_sqrt":
+            return warm * (max(1, self.warmup) / max(step + 1, self.warmup, 1)) ** 0.5
+        done = max(0, step - self.warmup) / max(1, self.steps - self.warmup)
+        cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, done) * torch.pi)).item())
+        return warm * cosine
+
+
+class Training(L.LightningModule):
+    """Trains a network on chunks; validates it on whole scenes.
+
+    Args:
+        network: what is trained.
+        optimizer: see `OptimizerSettings`.
+        sdf_weight: of the signed-distance loss (0 in the paper).
+        test: test-time settings of validation.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        optimizer: OptimizerSettings,
+        sdf_weight: float,
+        test: TestSettings,
+    ) -> None:
+        super().__init__()
+        self.network, self.optimizer_settings = network, optimizer
+        self.sdf_weight, self.test_settings = sdf_weight, test
+        self.save_hyperparameters({"network": asdict(network.config), "sdf_weight": sdf_weight})
+
+    def training_step(self, batch: ChunkBatch, batch_idx: int) -> Tensor:
+        """L = L_c + L_f + L_o of a batch."""
+        predictions = self.network(
+            batch.images,
+            batch.K,
+            batch.world_T_cam,
+            COARSE_GRID,
+            FINE_GRID,
+            batch.points,
+            batch.coarse_target,
+        )
+        terms = losses(
+            predictions,
+            batch.coarse_target,
+            batch.fine_target,
+            batch.sdf,
+            use_masks=self.network.config.filter,
+            sdf_weight=self.sdf_weight,
+        )
+        self.log_dict(
+            {f"train/{k}": v.detach() for k, v in terms.items()}, batch_size=len(batch.images)
+        )
+        return terms["loss"]
+
+    def validation_step(self, directory: Path, batch_idx: int) -> None:
+        """Reconstruct and score a whole scene of the val split."""
+        scene = Scene(directory)
+        mesh = reconstruct(self.network, scene, self.test_settings).mesh
+        metrics = evaluate_scene(mesh, scene.groundtruth)
+        names = {f"val/{k}": float(v) for k, v in metrics.items()}
+        self.log_dict(names, batch_size=1, sync_dist=True)
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        """Adam with a per-step schedule."""
+        s = self.optimizer_settings
+        adam = torch.optim.Adam(
+            self.network.parameters(), s.lr, s.betas, s.eps, s.weight_decay
+        )
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, s.factor)
+        return {
+            "optimizer": adam,
+            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
+        }
+
+
+class TrainingProgress(Callback):
+    """A progress bar over all steps, with the losses and the time left."""
+
+    def __init__(self) -> None:
+        self.bar: Progress | None = None
+        self.task: TaskID | None = None
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Start at the step the run is at."""
+        if trainer.is_global_zero:
+            self.bar = progress_bar()
+            self.bar.start()
+            self.task = self.bar.add_task(
+                "training", total=trainer.max_steps, completed=trainer.global_step
+            )
+
+    def on_train_batch_end(
+        self,
+        trainer: L.Trainer,
+        pl_module: L.LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+    ) -> None:
+        """Show the newest losses."""
+        if self.bar is None or self.task is None:
+            return
+        values = trainer.callback_metrics
+        shown = ("train/loss", "train/coarse", "train/fine", "train/occupancy", "val/fscore")
+        text = " ".join(f"{k.split('/')[1]} {float(values[k]):.3f}" for k in shown if k in values)
+        self.bar.update(self.task, completed=trainer.global_step, description=f"training {text}")
+
+    def _stop(self) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+            self.bar = None
+
+    def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Leave the finished bar on the screen."""
+        self._stop()
+
+    def on_exception(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
+    ) -> None:
+        """Give the terminal back."""
+        self._stop()

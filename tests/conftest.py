@@ -1,0 +1,69 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import box_room
+import hypothesis
+import pytest
+import torch
+
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
+from tf_lab.data.scene import write_scene
+from tf_lab.network.network import Network, NetworkConfig
+
+# The same examples at every run: a failure is a change of the code, never of the dice.
+hypothesis.settings.register_profile("tf_lab", deadline=None, max_examples=50, derandomize=True)
+hypothesis.settings.load_profile("tf_lab")
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+TINY = NetworkConfig(
+    width=12,
+    blocks=2,
+    heads=2,
+    expansion=2.0,
+    hidden=16,
+    refine_blocks=1,
+    encoder={
+        "width": 8,
+        "blocks": (1, 1, 1),
+        "stem_stride": 2,
+        "stem_pool": False,
+        "norm": "group",
+        "coarse_stride": 8,
+        "fine_stride": 2,
+        "coarse_channels": 8,
+        "fine_channels": 6,
+        "unit_norm": True,
+    },
+)
+
+
+@pytest.fixture(scope="session")
+def redkitchen() -> Path:
+    """100 frames of a real RGB-D sequence, kept beside the repository and not part of it."""
+    directory = REPOSITORY.parent / "shared" / "data" / "redkitchen"
+    if not directory.is_dir():
+        pytest.skip(f"the real sequence is not here ({directory})")
+    return directory
+
+
+@pytest.fixture(scope="session")
+def box_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of the analytic room (see box_room.py), with ground truth. Don't write to it."""
+    directory = tmp_path_factory.mktemp("scenes") / "box_room"
+    scene = write_scene(directory, box_room.frames(), {"source": "analytic"}, "box_room")
+    write_groundtruth(scene, scene.groundtruth, GroundTruthSettings())
+    return directory
+
+
+@pytest.fixture(scope="session")
+def tiny_network() -> Callable[..., Network]:
+    """Makes small networks with random, seeded weights; keywords replace the config's values."""
+
+    def make(seed: int = 0, **changes: Any) -> Network:
+        torch.manual_seed(seed)
+        return Network(replace(TINY, **changes)).eval()
+
+    return make
