@@ -173,6 +173,14 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
             f"encoder.weights={source}: {len(unknown)} tensors do not fit this encoder "
             f"(first: {unknown[0]}); use weights of the same encoder, or encoder.weights=none"
         )
+    optional = ("lateral.", "coarse_head.", "fine_head.")  # the pyramid is ours
+    missing = [k for k in own if k not in state and not k.startswith(optional)]
+    missing = [k for k in missing if not k.endswith("num_batches_tracked")]
+    if missing:
+        raise TFLabError(
+            f"encoder.weights={source}: {len(missing)} tensors of this encoder are missing "
+            f"(first: {missing[0]}); use weights of the same encoder, or encoder.weights=none"
+        )
     encoder.load_state_dict(state, strict=False)
 
 
@@ -189,9 +197,12 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
-        return torch.load(path, map_location="cpu", weights_only=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # both loaders raise many kinds
         raise TFLabError(f"{path}: not a weights file ({type(error).__name__})") from error
+    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
+        raise TFLabError(f"{path}: not a weights file (it holds no dictionary of tensors)")
+    return state
 
 
 def _imagenet_weights() -> dict[str, Tensor]:

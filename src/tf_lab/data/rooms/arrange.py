@@ -79,7 +79,9 @@ class Arranger:
             if room <= 0:
                 continue
             corner = self._rng.random() < 0.35  # furniture likes corners
-            x = 0.03 + (float(self._rng.choice([0, room])) if corner else self._rng.uniform(0, room))
+            x = 0.03 + (
+                float(self._rng.choice([0, room])) if corner else self._rng.uniform(0, room)
+            )
             span = [x, x + piece.width, 0.0, piece.height]
             if _clash(span, self._taken[number]):
                 continue
@@ -201,7 +203,9 @@ class Arranger:
                 with kit.s.at((*wall.a, 0), wall.yaw):
                     kit.s.box((span[0], 0.05, 0.14), (span[1], 0.09, span[3] - 0.02), kit.painted)
                     for x in np.arange(span[0] + 0.02, span[1] - 0.06, 0.09):
-                        kit.s.box((x, 0.09, 0.12), (x + 0.05, 0.12, span[3]), kit.painted, skip="y-")
+                        kit.s.box(
+                            (x, 0.09, 0.12), (x + 0.05, 0.12, span[3]), kit.painted, skip="y-"
+                        )
 
 
 def furnish(kit: Kit, plan: Plan) -> list[Placed]:
@@ -219,7 +223,9 @@ def furnish(kit: Kit, plan: Plan) -> list[Placed]:
     arranger.pictures(int(rng.integers(3, 9)))
     if rng.random() < 0.6:
         x0, y0, x1, y1 = plan.rects[0]
-        arranger.rug(np.array([x0 + x1, y0 + y1]) / 2, rng.choice([0, np.pi / 2]) + rng.normal(0, 0.1))
+        arranger.rug(
+            np.array([x0 + x1, y0 + y1]) / 2, rng.choice([0, np.pi / 2]) + rng.normal(0, 0.1)
+        )
     return arranger.placed
 
 

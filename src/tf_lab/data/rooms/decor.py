@@ -63,8 +63,12 @@ class Kit:
 
 def handle(kit: Kit, x: float, y: float, z: float, length: float) -> None:
     """A bar on a front at ``y``, centred at (x, z)."""
-    kit.s.box((x - length / 2, y + 0.01, z - 0.01), (x + length / 2, y + 0.024, z + 0.01),
-              kit.painted, METAL)
+    kit.s.box(
+        (x - length / 2, y + 0.01, z - 0.01),
+        (x + length / 2, y + 0.024, z + 0.01),
+        kit.painted,
+        METAL,
+    )
 
 
 def cushion(kit: Kit, low: Vector, high: Vector, material: int, tint: Tint = (1, 1, 1)) -> None:
@@ -175,8 +179,9 @@ def _bottles(kit: Kit, r: float, room: float) -> None:
         h, b = min(room, kit.rng.uniform(0.12, 0.3)), min(0.04, 0.4 * r)
         with kit.s.at((0.5 * r * np.cos(turn), 0.5 * r * np.sin(turn), 0)):
             shape = [(b, 0), (b, 0.65 * h), (0.4 * b, 0.78 * h), (0.4 * b, h), (0, h)]
-            kit.s.lathe(shape, kit.poster() if kit.rng.random() < 0.5 else kit.painted, kit.tint(),
-                        sides=8)
+            kit.s.lathe(
+                shape, kit.poster() if kit.rng.random() < 0.5 else kit.painted, kit.tint(), sides=8
+            )
 
 
 def _lamp(kit: Kit, r: float, room: float) -> None:

@@ -76,13 +76,19 @@ def desk(rng: Rng) -> Piece:
         kit.s.box((x, 0.08, 0.1), (x + 0.4, d - 0.08, h - 0.03), body, skip="z+")
         for k in range(3):
             z = 0.13 + k * 0.19
-            kit.s.box((x + 0.015, d - 0.08, z), (x + 0.385, d - 0.062, z + 0.17), body, kit.tint(0.8))
+            kit.s.box(
+                (x + 0.015, d - 0.08, z), (x + 0.385, d - 0.062, z + 0.17), body, kit.tint(0.8)
+            )
             handle(kit, x + 0.2, d - 0.062, z + 0.11, 0.12)
         a = rng.uniform(0.3, w - 0.75)
         if rng.random() < 0.75:  # a screen and a keyboard
-            kit.s.box((a + 0.18, 0.12, h), (a + 0.36, 0.27, h + 0.012), kit.painted, (0.2, 0.2, 0.2))
+            kit.s.box(
+                (a + 0.18, 0.12, h), (a + 0.36, 0.27, h + 0.012), kit.painted, (0.2, 0.2, 0.2)
+            )
             kit.s.box((a + 0.25, 0.16, h), (a + 0.29, 0.18, h + 0.2), kit.painted, (0.2, 0.2, 0.2))
-            kit.s.box((a, 0.18, h + 0.1), (a + 0.54, 0.215, h + 0.43), kit.painted, (0.1, 0.1, 0.12))
+            kit.s.box(
+                (a, 0.18, h + 0.1), (a + 0.54, 0.215, h + 0.43), kit.painted, (0.1, 0.1, 0.12)
+            )
             kit.picture((a + 0.015, 0.216, h + 0.115), (a + 0.525, 0.22, h + 0.415), kit.poster())
             kit.s.box((a, 0.36, h), (a + 0.42, 0.5, h + 0.02), kit.poster(), kit.tint(0.4))
             things(kit, (a + 0.6, 0.1, w - 0.05, d - 0.1), h, 2)
@@ -154,8 +160,12 @@ def bed(rng: Rng) -> Piece:
         cushion(kit, (0.03, 0.07, 0.3), (w - 0.03, d - 0.03, h - 0.03), sheet)
         start = rng.uniform(0.55, 0.9)
         kit.s.box((0.0, start, 0.33), (w, d - 0.005, h), cover, skip="z-")
-        kit.s.box((-0.0 + 0.004, start - 0.03, h - 0.01), (w - 0.004, start + 0.2, h + 0.025), cover,
-                  kit.tint(0.75))
+        kit.s.box(
+            (-0.0 + 0.004, start - 0.03, h - 0.01),
+            (w - 0.004, start + 0.2, h + 0.025),
+            cover,
+            kit.tint(0.75),
+        )
         count = 1 if w < 1.2 else 2
         for k in range(count):
             x = w / count * (k + 0.5) - 0.3
@@ -203,13 +213,21 @@ def cabinet(rng: Rng, w: float, d: float, h: float, name: str, drawers: bool) ->
             _legs(kit, w, d, foot, kit.painted, 0.03, True)
         columns = max(1, round(w / 0.48))
         rows = max(2, round((h - foot) / 0.24)) if drawers else 1
-        xs, zs = np.linspace(0.01, w - 0.01, columns + 1), np.linspace(foot + 0.02, h - 0.02, rows + 1)
+        xs, zs = (
+            np.linspace(0.01, w - 0.01, columns + 1),
+            np.linspace(foot + 0.02, h - 0.02, rows + 1),
+        )
         front = 0.82 * tint if rng.random() < 0.5 else tint
         for k in range(columns):
             for z0, z1 in zip(zs[:-1], zs[1:], strict=True):
-                low, high = (xs[k] + 0.006, d - 0.02, z0 + 0.006), (xs[k + 1] - 0.006, d, z1 - 0.006)
+                low, high = (
+                    (xs[k] + 0.006, d - 0.02, z0 + 0.006),
+                    (xs[k + 1] - 0.006, d, z1 - 0.006),
+                )
                 kit.s.box(low, high, mat, front, skip="y-")
-                middle = (xs[k] + xs[k + 1]) / 2 if drawers else xs[k + k % 2] + 0.04 * (-1) ** (k + 1)
+                middle = (
+                    (xs[k] + xs[k + 1]) / 2 if drawers else xs[k + k % 2] + 0.04 * (-1) ** (k + 1)
+                )
                 handle(kit, float(np.clip(middle, 0.05, w - 0.05)), d, (z0 + z1) / 2, 0.1)
         if h < 1.3:
             things(kit, (0.06, 0.05, w - 0.06, d - 0.06), h, int(rng.integers(2, 6)))
@@ -243,14 +261,21 @@ def counter(rng: Rng) -> Piece:
     def build(kit: Kit) -> None:
         below = cabinet(rng, w, d - 0.03, 0.86, "counter", bool(rng.random() < 0.3))
         below.build(kit)
-        kit.s.box((0, 0, 0.862), (w, d + 0.01, 0.9), kit.glaze if rng.random() < 0.5 else kit.wood())
+        kit.s.box(
+            (0, 0, 0.862), (w, d + 0.01, 0.9), kit.glaze if rng.random() < 0.5 else kit.wood()
+        )
         things(kit, (0.05, 0.08, w - 0.05, d - 0.08), 0.9, 5)
         n = int(rng.integers(1, 1 + int(w / 0.45)))
         tint = kit.tint()
         for k in range(n):
             kit.s.box((k * 0.45, 0, 1.45), (k * 0.45 + 0.445, 0.31, high), kit.painted, tint)
-            kit.s.box((k * 0.45 + 0.01, 0.31, 1.46), (k * 0.45 + 0.435, 0.328, high - 0.01),
-                      kit.painted, 0.85 * tint, skip="y-")
+            kit.s.box(
+                (k * 0.45 + 0.01, 0.31, 1.46),
+                (k * 0.45 + 0.435, 0.328, high - 0.01),
+                kit.painted,
+                0.85 * tint,
+                skip="y-",
+            )
             handle(kit, k * 0.45 + 0.38, 0.328, 1.53, 0.08)
 
     return Piece("counter", w, d + 0.03, high, build)
@@ -287,7 +312,10 @@ def television(rng: Rng) -> Piece:
         kit.s.box((x - 0.03, 0.18, h), (x + 0.03, 0.2, z + 0.02), kit.painted, (0.15, 0.15, 0.15))
         top = z + wide * 0.57
         kit.s.box((x - wide / 2, 0.2, z), (x + wide / 2, 0.24, top), kit.painted, (0.1, 0.1, 0.1))
-        low, high = (x - wide / 2 + 0.015, 0.241, z + 0.015), (x + wide / 2 - 0.015, 0.246, top - 0.015)
+        low, high = (
+            (x - wide / 2 + 0.015, 0.241, z + 0.015),
+            (x + wide / 2 - 0.015, 0.246, top - 0.015),
+        )
         kit.picture(low, high, kit.poster() if rng.random() < 0.6 else kit.glaze, kit.tint(0.5))
 
     return Piece("television", w, 0.41, h + 0.05 + 0.57 * w, build)

@@ -66,7 +66,9 @@ def make_plan(rng: Rng) -> Plan:
     corners = np.array([[0, 0], [width, 0], [width, depth], [0, depth]])
     rects: tuple[Rect, ...] = ((0.0, 0.0, width, depth),)
     if width > 4.0 and depth > 3.6 and rng.random() < 0.5:
-        cut = np.array([width - rng.uniform(1.0, width - 2.6), depth - rng.uniform(0.9, depth - 2.4)])
+        cut = np.array(
+            [width - rng.uniform(1.0, width - 2.6), depth - rng.uniform(0.9, depth - 2.4)]
+        )
         corners = np.array(
             [[0, 0], [width, 0], [width, cut[1]], [cut[0], cut[1]], [cut[0], depth], [0, depth]]
         )
@@ -101,7 +103,11 @@ def _opening(rng: Rng, kind: str, length: float, height: float) -> Opening:
         width, low, depth = rng.uniform(0.8, 1.9), rng.uniform(0.75, 1.05), rng.uniform(0.12, 0.25)
         high = min(low + rng.uniform(0.9, 1.4), height - 0.2)
     else:
-        width, low, depth = rng.uniform(0.6, 1.3), rng.choice([0.0, 0.5, 0.8]), rng.uniform(0.2, 0.4)
+        width, low, depth = (
+            rng.uniform(0.6, 1.3),
+            rng.choice([0.0, 0.5, 0.8]),
+            rng.uniform(0.2, 0.4),
+        )
         high = low + rng.uniform(0.7, 1.2) if low else rng.uniform(1.8, 2.2)
     room = length - width - 0.8
     start = 0.4 + rng.uniform(0, room) if room > 0 else -1.0
@@ -133,21 +139,24 @@ def build_shell(surfaces: Surfaces, plan: Plan, palette: Palette, rng: Rng) -> N
                 _fill(surfaces, opening, palette, rng, tint)
 
 
-def _quad(surfaces: Surfaces, x0: float, x1: float, z0: float, z1: float, y: float, mat: int) -> None:
-    corners = np.array([[x1, y, z0], [x0, y, z0], [x0, y, z1], [x1, y, z1]])
-    surfaces.polygon(corners, mat, u_axis=(1, 0, 0))
+def _quad(surfaces: Surfaces, span: Rect, material: int, uv: np.ndarray) -> None:
+    """A piece x0, z0, x1, z1 of a wall; pieces with the same ``uv`` at the origin continue."""
+    x0, z0, x1, z1 = span
+    corners = np.array([[x1, 0, z0], [x0, 0, z0], [x0, 0, z1], [x1, 0, z1]])
+    start = uv + [x1, -z0]
+    surfaces.polygon(corners, material, u_axis=(1, 0, 0), uv_start=start)
 
 
 def _wall(surfaces: Surfaces, wall: Wall, height: float, material: int) -> None:
     """The wall's face around its openings (in the wall's frame: room at y > 0)."""
-    edge = 0.0
+    edge, uv = 0.0, surfaces.rng.uniform(0, 8, 2)
     for o in wall.openings:
-        _quad(surfaces, edge, o.start, 0, height, 0, material)
-        _quad(surfaces, o.start, o.end, o.high, height, 0, material)
+        _quad(surfaces, (edge, 0, o.start, height), material, uv)
+        _quad(surfaces, (o.start, o.high, o.end, height), material, uv)
         if o.low > 0:
-            _quad(surfaces, o.start, o.end, 0, o.low, 0, material)
+            _quad(surfaces, (o.start, 0, o.end, o.low), material, uv)
         edge = o.end
-    _quad(surfaces, edge, wall.length, 0, height, 0, material)
+    _quad(surfaces, (edge, 0, wall.length, height), material, uv)
 
 
 def _skirting(surfaces: Surfaces, wall: Wall, material: int, tint: np.ndarray) -> None:
@@ -160,7 +169,7 @@ def _skirting(surfaces: Surfaces, wall: Wall, material: int, tint: np.ndarray) -
 
 def _fill(s: Surfaces, o: Opening, palette: Palette, rng: Rng, tint: np.ndarray) -> None:
     """The recess itself (its five inner sides) and what stands in it."""
-    painted, back = palette.index["painted"][0], palette.index["accent"][0]
+    painted = palette.index["painted"][0]
     d, x0, x1, z0, z1 = -o.depth, o.start, o.end, o.low, o.high
     sides = [
         [[x0, d, z0], [x0, 0, z0], [x0, 0, z1], [x0, d, z1]],
@@ -174,17 +183,15 @@ def _fill(s: Surfaces, o: Opening, palette: Palette, rng: Rng, tint: np.ndarray)
         centre = np.array([(x0 + x1) / 2, d / 2, (z0 + z1) / 2])
         inward = normal @ (centre - corners[0]) > 0
         s.polygon(corners if inward else corners[::-1], painted)
-    if o.kind == "niche":
-        _quad(s, x0, x1, z0, z1, d, back)
-        return
+    back = "accent" if o.kind == "niche" else "outside" if o.kind == "window" else "painted"
+    corners = np.array([[x1, d, z0], [x0, d, z0], [x0, d, z1], [x1, d, z1]])
+    glow = rng.uniform(0.4, 1.0) if o.kind == "window" else 0.0
+    dim = 0.55 if o.kind == "window" else 1.0  # so bright already by the window's own light
+    s.polygon(corners, palette.index[back][0], dim * np.ones(3), glow, u_axis=(1, 0, 0))
     if o.kind == "window":
-        outside = palette.index["outside"][0]
-        corners = np.array([[x1, d, z0], [x0, d, z0], [x0, d, z1], [x1, d, z1]])
-        s.polygon(corners, outside, glow=rng.uniform(0.3, 0.8), u_axis=(1, 0, 0))
         _window_frame(s, o, painted, rng, tint)
-        return
-    _quad(s, x0, x1, z0, z1, d, painted)
-    _door(s, o, palette, rng, tint)
+    elif o.kind == "door":
+        _door(s, o, palette, rng, tint)
 
 
 def _window_frame(s: Surfaces, o: Opening, material: int, rng: Rng, tint: np.ndarray) -> None:

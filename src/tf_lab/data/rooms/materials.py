@@ -181,7 +181,9 @@ def terrazzo(rng: Rng) -> Texture:
     chip = rng.random(index.max() + 1) < 0.6
     image = inks[rng.integers(0, 6, index.max() + 1)][index]
     cement = 0.4 + 0.4 * colour(rng, 0.3)
-    return shade(np.where((chip[index] & (gap > 4))[..., None], image, cement), 1 + 0.06 * noise(rng)), 0.006
+    return shade(
+        np.where((chip[index] & (gap > 4))[..., None], image, cement), 1 + 0.06 * noise(rng)
+    ), 0.006
 
 
 def fabric(rng: Rng) -> Texture:

@@ -69,7 +69,9 @@ class Renderer:
         face = self.scene.run(np.ascontiguousarray(origin), direction.astype(np.float32))
         normal = self._geometry.normals[face]
         # the exact plane, not embree's float32 distance
-        depth = (self._plane[face] - normal @ pose[:3, 3]) / np.einsum("ni,ni->n", normal, direction)
+        depth = (self._plane[face] - normal @ pose[:3, 3]) / np.einsum(
+            "ni,ni->n", normal, direction
+        )
         return face, depth, pose[:3, 3] + depth[:, None] * direction
 
     def _shade(
@@ -118,7 +120,6 @@ class Renderer:
         depth = np.where(face >= 0, depth, 0).astype(np.float32)
         return colour.reshape(height, width, 3), depth.reshape(height, width)
 
-
     def film(self, pose: np.ndarray, before: np.ndarray, rng: Rng) -> tuple[np.ndarray, np.ndarray]:
         """A photograph uint8 [H, W, 3] and its depth [H, W] (m); some are blurred by motion.
 
@@ -158,7 +159,9 @@ def make_lighting(plan: Plan, rng: Rng) -> Lighting:
         along = (wall.b - wall.a) / wall.length
         for o in wall.openings:
             if o.kind == "window":
-                spot = wall.a + along * (o.start + o.end) / 2 + 0.2 * np.array([-along[1], along[0]])
+                spot = (
+                    wall.a + along * (o.start + o.end) / 2 + 0.2 * np.array([-along[1], along[0]])
+                )
                 positions.append(np.array([*spot, (o.low + o.high) / 2 + 0.1]))
                 colours.append(day)
     ambient = rng.uniform(0.28, 0.5) * (1 + 0.5 * (warm - 1))

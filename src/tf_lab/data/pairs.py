@@ -1,0 +1,169 @@
+"""Pairs of frames with known pixel correspondences, for pre-training the encoder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
+
+from tf_lab.data.scene import Scene
+from tf_lab.data.tsdf import unproject
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import in_view, invert_pose, project, transform
+
+NEAR, FAR = 0.3, 5.0  # metres
+
+
+@dataclass
+class PairBatch:
+    """Corresponding pixels of P points in pairs of images.
+
+    Attributes:
+        images: uint8 [B, 2, 3, H, W].
+        uv_a: [B, P, 2] pixels in the first image.
+        uv_b: [B, P, 1 + E, 2] pixels in the second: the true one, then E wrong ones along the
+            epipolar line (the same ray at other depths).
+    """
+
+    images: Tensor
+    uv_a: Tensor
+    uv_b: Tensor
+
+    def to(self, device: torch.device, non_blocking: bool = False) -> PairBatch:
+        """The batch on another device (Lightning calls this)."""
+        moved = {k: v.to(device, non_blocking=non_blocking) for k, v in vars(self).items()}
+        return PairBatch(**moved)
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """How pairs are drawn.
+
+    Attributes:
+        pairs: a step.
+        points: correspondences a pair.
+        epipolar: wrong candidates along each epipolar line.
+        baseline: least distance of the cameras, metres.
+        overlap: least share of the first image's points that the second sees.
+    """
+
+    pairs: int = 8
+    points: int = 320
+    epipolar: int = 8
+    baseline: float = 0.15
+    overlap: float = 0.3
+
+
+class PairStream(IterableDataset[PairBatch]):
+    """An endless stream of batches, each a function of (seed, step) alone."""
+
+    def __init__(
+        self, scenes: Sequence[Path], settings: PairSettings, seed: int, first_step: int = 0
+    ) -> None:
+        if not scenes:
+            raise TFLabError("there is no scene to pre-train on; prepare the data first")
+        self.scenes, self.settings = list(scenes), settings
+        self.seed, self.first_step = seed, first_step
+        self.open = lru_cache(maxsize=256)(Scene)
+
+    def __iter__(self) -> Iterator[PairBatch]:
+        worker = get_worker_info()
+        offset, stride = (worker.id, worker.num_workers) if worker else (0, 1)
+        step = self.first_step + offset
+        while True:
+            yield self.batch(np.random.default_rng([self.seed, step]))
+            step += stride
+
+    def batch(self, rng: np.random.Generator) -> PairBatch:
+        """One batch.
+
+        Raises:
+            TFLabError: no pair overlaps in 100 draws a pair.
+        """
+        found: list[PairBatch] = []
+        for _ in range(100 * self.settings.pairs):
+            pair = self.pair(self.open(self.scenes[rng.integers(len(self.scenes))]), rng)
+            if pair is not None:
+                found.append(pair)
+            if len(found) == self.settings.pairs:
+                return PairBatch(
+                    **{k: torch.stack([vars(p)[k] for p in found]) for k in vars(found[0])}
+                )
+        raise TFLabError("the frames of the scenes do not overlap enough for pre-training")
+
+    def pair(self, scene: Scene, rng: np.random.Generator) -> PairBatch | None:
+        """One pair, without the batch axis; None if the frame drawn has no partner."""
+        s = self.settings
+        a = int(rng.integers(len(scene)))
+        points, uv_a = self._points(scene, a, rng)
+        b = self._partner(scene, a, points[:200], rng)
+        if b is None:
+            return None
+        K, cam_T_world = torch.from_numpy(scene.K[b]).float(), _pose(scene, b, inverse=True)
+        uv, z = project(points, K, cam_T_world)
+        depth_b = scene.depth(b)
+        assert depth_b is not None  # frame a had depth, so the scene has
+        seen = in_view(uv, z, scene.size, NEAR, FAR).nonzero().squeeze(1)
+        u, v = uv[seen].round().long().unbind(-1)
+        reading = torch.from_numpy(depth_b)[v, u]
+        seen = seen[(reading - z[seen]).abs() < 0.03 + 0.02 * z[seen]]
+        if len(seen) < s.points:
+            return None
+        seen = seen[: s.points]
+        images = np.stack([scene.image(a), scene.image(b)])
+        return PairBatch(
+            images=torch.from_numpy(images).permute(0, 3, 1, 2).contiguous(),
+            uv_a=uv_a[seen],
+            uv_b=torch.cat(
+                [uv[seen, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1
+            ),
+        )
+
+    def _points(self, scene: Scene, a: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Random pixels of frame a with depth: world points [M, 3] and pixels [M, 2]."""
+        depth = scene.depth(a)
+        if depth is None:
+            raise TFLabError(f"{scene.directory}: pre-training needs depth, this scene has none")
+        sparse = np.where(rng.random(depth.shape) < 0.15, depth, 0)
+        rows, columns = np.nonzero(sparse)
+        points = unproject(
+            torch.from_numpy(sparse), torch.from_numpy(scene.K[a]).float(), _pose(scene, a)
+        )
+        order = torch.from_numpy(rng.permutation(len(points)))
+        pixels = torch.from_numpy(np.stack([columns, rows], -1)).float()
+        return points[order], pixels[order]
+
+    def _partner(
+        self, scene: Scene, a: int, points: Tensor, rng: np.random.Generator
+    ) -> int | None:
+        """A random frame that overlaps frame a from another place."""
+        poses = torch.from_numpy(scene.world_T_cam).float()
+        uv, z = project(points, torch.from_numpy(scene.K).float(), invert_pose(poses))
+        share = in_view(uv, z, scene.size, NEAR, FAR).float().mean(-1)
+        distance = (poses[:, :3, 3] - poses[a, :3, 3]).norm(dim=-1)
+        good = (share >= self.settings.overlap) & (distance >= self.settings.baseline)
+        candidates = good.nonzero().squeeze(1)
+        return int(candidates[rng.integers(len(candidates))]) if len(candidates) else None
+
+    def _epipolar(
+        self, scene: Scene, a: int, b: int, points: Tensor, rng: np.random.Generator
+    ) -> Tensor:
+        """Pixels [P, E, 2] in frame b of wrong depths along the rays from frame a."""
+        camera = transform(_pose(scene, a, inverse=True), points)
+        n = (len(points), self.settings.epipolar, 1)
+        factor = np.exp(rng.choice([-1, 1], n) * rng.uniform(0.08, 0.9, n)).astype(np.float32)
+        wrong = (camera[:, None] * torch.from_numpy(factor)).reshape(-1, 3)
+        K = torch.from_numpy(scene.K[b]).float()
+        uv, _ = project(transform(_pose(scene, a), wrong), K, _pose(scene, b, inverse=True))
+        return uv.view(n[0], n[1], 2)
+
+
+def _pose(scene: Scene, index: int, inverse: bool = False) -> Tensor:
+    pose = torch.from_numpy(scene.world_T_cam[index]).float()
+    return invert_pose(pose) if inverse else pose

@@ -1,0 +1,153 @@
+"""View selection against lists written out, and the reservoir against chance."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+from torch import Tensor
+
+from tf_lab.errors import TFLabError
+from tf_lab.online.selection import AttentionSelection, RandomSelection, make_policy
+from tf_lab.online.view_store import ViewStore
+
+K, N = 4, 10
+
+
+def lattice(n: int) -> Tensor:
+    """n different voxels, also at negative coordinates."""
+    edge = round(n ** (1 / 3)) + 1
+    keys = torch.tensor(list(itertools.product(range(-edge // 2, edge - edge // 2), repeat=3)))
+    return keys[:n]
+
+
+def reservoir(keys: Tensor, seed: int, frames: int = N) -> Tensor:
+    """The frames that each voxel holds after it saw 0..frames-1: [P, K], sorted."""
+    policy = RandomSelection(seed)
+    held = torch.full((len(keys), K), -1)
+    rows = torch.arange(len(keys))
+    for frame in range(frames):
+        seen = torch.full((len(keys),), frame)
+        slot = policy.slots(torch.zeros(len(keys), K), seen, keys)
+        kept = slot >= 0
+        held[rows[kept], slot[kept]] = frame
+    return held.sort(dim=1).values
+
+
+def test_attention_drops_the_lowest_weight() -> None:
+    weights = torch.tensor([[0.4, 0.1, 0.3, 0.2], [0.1, 0.2, 0.3, 0.4]])
+    seen, keys = torch.tensor([4, 17]), torch.zeros(2, 3, dtype=torch.int64)
+    assert AttentionSelection().slots(weights, seen, keys).tolist() == [1, 0]
+    # what is read from slots that aren't full yet must not matter
+    assert AttentionSelection().slots(weights, torch.tensor([0, 3]), keys).tolist() == [0, 3]
+
+
+@given(
+    heads=st.integers(1, 3),
+    views=st.integers(1, 5),
+    voxels=st.integers(1, 4),
+    frames=st.integers(0, 12),
+    seed=st.integers(0, 2**31),
+)
+def test_attention_equals_a_list_of_measurements(
+    heads: int, views: int, voxels: int, frames: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    store = ViewStore(lattice(voxels), views, heads, AttentionSelection())
+    held: list[list[tuple[int, np.ndarray]]] = [[] for _ in range(voxels)]
+    for frame in range(frames):
+        rows = np.flatnonzero(rng.random(voxels) < 0.7)
+        logits = rng.normal(size=(len(rows), heads))
+        store.add(frame, torch.from_numpy(rows), torch.from_numpy(logits))
+        for row, logit in zip(rows, logits, strict=True):
+            measurements = held[row]
+            if len(measurements) == views:
+                e = np.exp([m[1] for m in measurements])
+                weights = (e / e.sum(0)).mean(1)
+                measurements.pop(int(np.argmin(weights)))
+            measurements.append((frame, logit))
+    for row, measurements in enumerate(held):
+        frames_held = [f for f in store.frames[row].tolist() if f >= 0]
+        assert sorted(frames_held) == [m[0] for m in measurements]
+        for frame, logit in measurements:
+            slot = store.frames[row].tolist().index(frame)
+            np.testing.assert_allclose(store.logits[row, slot], logit, rtol=1e-6)
+
+
+def test_the_reservoir_is_uniform() -> None:
+    """Over 10,000 voxels every frame is held K / N of the time, and every pair alike."""
+    held = reservoir(lattice(10_000), seed=0)
+    assert (held[:, 1:] > held[:, :-1]).all()  # K different frames each
+    # Voxels are independent, so for each frame the number of voxels that hold it is binomial.
+    count = torch.bincount(held.flatten(), minlength=N).numpy()
+    p = K / N
+    statistic = ((count - 10_000 * p) ** 2 / (10_000 * p * (1 - p))).sum() * (N - 1) / N
+    assert statistic < chi2.ppf(0.999, N - 1)
+    subsets = list(itertools.combinations(range(N), K))
+    index = {subset: i for i, subset in enumerate(subsets)}
+    count = np.bincount([index[tuple(row)] for row in held.tolist()], minlength=len(subsets))
+    expected = 10_000 / len(subsets)
+    assert ((count - expected) ** 2 / expected).sum() < chi2.ppf(0.999, len(subsets) - 1)
+
+
+def test_neighbouring_voxels_and_neighbouring_seeds_are_independent() -> None:
+    keys = lattice(8000)
+    one = reservoir(keys, seed=0)
+    shifted = {tuple(k): i for i, k in enumerate(keys.tolist())}
+    for step in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
+        pairs = [
+            (i, shifted[key])
+            for i, k in enumerate(keys.tolist())
+            if (key := tuple(a + b for a, b in zip(k, step, strict=True))) in shifted
+        ]
+        a, b = torch.tensor(pairs).T
+        assert shared(one[a], one[b]) == pytest.approx(K * K / N, abs=0.08)
+    for seed in (1, 2, 3):
+        assert shared(one, reservoir(keys, seed)) == pytest.approx(K * K / N, abs=0.08)
+
+
+def shared(a: Tensor, b: Tensor) -> float:
+    """Mean number of frames held by both; K^2 / N by chance."""
+    return float((a[:, :, None] == b[:, None, :]).sum((1, 2)).double().mean())
+
+
+@given(seed=st.integers(-(2**31), 2**31), splits=st.integers(1, 7))
+def test_the_reservoir_does_not_know_the_order_of_voxels(seed: int, splits: int) -> None:
+    keys = lattice(60)
+    whole = reservoir(keys, seed)
+    order = torch.randperm(60, generator=torch.Generator().manual_seed(splits))
+    parts = torch.cat([reservoir(keys[p], seed) for p in order.chunk(splits)])
+    assert torch.equal(parts, whole[order])
+    assert torch.equal(whole, reservoir(keys, seed))
+
+
+def test_seeds_differ_and_zero_is_one() -> None:
+    held = [reservoir(lattice(200), seed) for seed in (0, 1, -1, 12345)]
+    for a, b in itertools.combinations(held, 2):
+        assert not torch.equal(a, b)
+    assert torch.equal(reservoir(lattice(200), 0), held[0])
+
+
+def test_fewer_frames_than_slots_are_all_kept() -> None:
+    held = reservoir(lattice(5), 0, frames=3)
+    assert held.tolist() == [[-1, 0, 1, 2]] * 5
+
+
+def test_uniform_numbers_lie_in_the_unit_interval() -> None:
+    draw = RandomSelection(3)._uniform(lattice(20_000), torch.arange(20_000))
+    assert draw.min() >= 0
+    assert draw.max() < 1
+    count = np.bincount((draw * 64).long().numpy(), minlength=64)
+    assert ((count - 312.5) ** 2 / 312.5).sum() < chi2.ppf(0.999, 63)
+
+
+def test_policies_by_name() -> None:
+    assert isinstance(make_policy("attention", 0), AttentionSelection)
+    policy = make_policy("random", 7)
+    assert isinstance(policy, RandomSelection)
+    assert policy.seed == 7
+    with pytest.raises(TFLabError, match=r"select\.policy=best"):
+        make_policy("best", 0)
