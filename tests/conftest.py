@@ -16,6 +16,9 @@ from tf_lab.network.network import Network, NetworkConfig
 hypothesis.settings.register_profile("tf_lab", deadline=None, max_examples=50, derandomize=True)
 hypothesis.settings.load_profile("tf_lab")
 
+# The tests' tensors are small: a second thread costs more than it gives, above all beside others.
+torch.set_num_threads(1)
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 TINY = NetworkConfig(

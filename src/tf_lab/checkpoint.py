@@ -42,7 +42,9 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
             f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
         ) from error
     if "config" not in metadata:
-        raise TFLabError(f"{path}: no network configuration inside; it is not a checkpoint of tf_lab")
+        raise TFLabError(
+            f"{path}: no network configuration inside; it is not a checkpoint of tf_lab"
+        )
     try:
         network = Network(NetworkConfig(**json.loads(metadata["config"])))
         network.load_state_dict(state)

@@ -9,6 +9,7 @@ import os
 import platform
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
         @functools.wraps(function)
         def guarded(cfg: DictConfig) -> None:
-            logging.captureWarnings(True)
+            _quieten()
             try:
                 function(cfg)
             except (TFLabError, OmegaConfBaseException) as error:
@@ -56,6 +57,18 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         return wrapped(guarded)
 
     return decorate
+
+
+def _quieten() -> None:
+    """Keep Lightning's advertisements and its remarks on our own choices off the screen."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for message in (
+        ".*isinstance.treespec, LeafSpec.*",
+        ".*Checkpoint directory .* exists and is not empty.*",
+        ".*does not have many workers.*",
+        ".*Experiment logs directory .* exists and is not empty.*",
+    ):
+        warnings.filterwarnings("ignore", message=message)
 
 
 def _in_sweep() -> bool:

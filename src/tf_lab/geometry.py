@@ -170,6 +170,17 @@ class VoxelGrid:
             tuple((h - a) * multiple for h, a in zip(high, low, strict=True)),  # type: ignore[arg-type]
         )
 
+    def refined(self, n: int) -> VoxelGrid:
+        """The same box with every voxel split into n^3."""
+        x, y, z = self.shape
+        return VoxelGrid(self.origin, self.voxel / n, (x * n, y * n, z * n))
+
+    def block(self, low: Sequence[int], high: Sequence[int]) -> VoxelGrid:
+        """The part of the grid from voxel ``low`` up to, not including, ``high``."""
+        x, y, z = (o + int(a) * self.voxel for o, a in zip(self.origin, low, strict=True))
+        nx, ny, nz = (int(b) - int(a) for a, b in zip(low, high, strict=True))
+        return VoxelGrid((x, y, z), self.voxel, (nx, ny, nz))
+
     def centers(self) -> Tensor:
         """Voxel centres [X, Y, Z, 3] in metres."""
         axes = [

@@ -8,12 +8,12 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from omegaconf import DictConfig
 from safetensors.torch import save_file
 from torch import Tensor
@@ -60,7 +60,7 @@ class Matching(L.LightningModule):
         terms = self._losses(batch)
         self.log_dict({f"val/{k}": v for k, v in terms.items()}, batch_size=1)
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam, short warm-up, cosine to zero."""
         adam = torch.optim.Adam(self.encoder.parameters(), self.lr)
 
@@ -82,8 +82,13 @@ def main(cfg: DictConfig) -> None:
     module = Matching(encoder, config["lr"], config["steps"], config["temperature"])
     directory = output.with_suffix("")
     settings = PairSettings(config["pairs"], config["points"], config["epipolar"])
-    saving = ModelCheckpoint(directory, filename="last", every_n_train_steps=500,
-                             enable_version_counter=False, save_on_train_epoch_end=False)  # fmt: skip
+    saving = ModelCheckpoint(
+        directory,
+        filename="last",
+        every_n_train_steps=500,
+        enable_version_counter=False,
+        save_on_train_epoch_end=False,
+    )
     t = config["trainer"]
     trainer = L.Trainer(
         accelerator=t["accelerator"],

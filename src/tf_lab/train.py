@@ -44,19 +44,31 @@ Config = Mapping[str, Any]
 def main(cfg: DictConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     config = plain(cfg)
+    start = time.time()
     checkpoint = train(config)
-    run = run_directory(config)
+    run = evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
-    if metrics is None:
+    assert metrics is not None  # written just now, or found
+    label = row_label(config)
+    print(format_table([*metrics["scenes"].items(), (label, metrics["mean"])]))
+    print(f"training: {checkpoint.parent}\nrun:      {run}")
+    print(f"pictures: {run / 'pictures'}   ({(time.time() - start) / 60:.1f} minutes in all)")
+
+
+def evaluate_training(config: Config, checkpoint: Path) -> Path:
+    """The run directory of the config's evaluation: found, or made now."""
+    run = run_directory(config)
+    run.mkdir(parents=True, exist_ok=True)
+    with FileLock(run / ".lock"):
+        if read_metrics(run) is not None:
+            print(f"reusing the identical finished evaluation {run}")
+            return run
         network, info = load_network(checkpoint)
-        test = prepare_data(config, ("test",))["test"]
-        metrics = test_network(network, test, test_settings(config), run, row_label(config))
+        scenes = prepare_data(config, ("test",))["test"]
         write_config(run, config)
         write_json(run / "run.json", {**provenance(), "checkpoint": str(checkpoint), **info})
-    else:
-        print(f"reusing the identical finished evaluation {run}")
-    print(format_table([*metrics["scenes"].items(), (row_label(config), metrics["mean"])]))
-    print(f"training: {checkpoint.parent}\nrun:      {run}")
+        test_network(network, scenes, test_settings(config), run, row_label(config))
+    return run
 
 
 def train(config: Config) -> Path:
@@ -81,9 +93,7 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
         for part in (network.encoder, network.fusion["coarse"], network.fusion["fine"]):
             part.compile(dynamic=True)
     optimizer = optimizer_settings(config)
-    module = Training(
-        network, optimizer, config["training"]["sdf_weight"], test_settings(config)
-    )
+    module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
     data = SceneDataModule(
         splits,
         chunk_settings(config),

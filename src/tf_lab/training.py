@@ -9,6 +9,7 @@ from typing import Any
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from rich.progress import Progress, TaskID
 from torch import Tensor
 
@@ -46,9 +47,7 @@ class OptimizerSettings:
 
     def __post_init__(self) -> None:
         if self.schedule not in ("inverse_sqrt", "cosine"):
-            raise TFLabError(
-                f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine"
-            )
+            raise TFLabError(f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine")
 
     def factor(self, step: int) -> float:
         """The learning rate at a step (from 0) over the peak."""
@@ -114,12 +113,10 @@ class Training(L.LightningModule):
         names = {f"val/{k}": float(v) for k, v in metrics.items()}
         self.log_dict(names, batch_size=1, sync_dist=True)
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam with a per-step schedule."""
         s = self.optimizer_settings
-        adam = torch.optim.Adam(
-            self.network.parameters(), s.lr, s.betas, s.eps, s.weight_decay
-        )
+        adam = torch.optim.Adam(self.network.parameters(), s.lr, s.betas, s.eps, s.weight_decay)
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, s.factor)
         return {
             "optimizer": adam,
@@ -155,9 +152,11 @@ class TrainingProgress(Callback):
         if self.bar is None or self.task is None:
             return
         values = trainer.callback_metrics
-        shown = ("train/loss", "train/coarse", "train/fine", "train/occupancy", "val/fscore")
-        text = " ".join(f"{k.split('/')[1]} {float(values[k]):.3f}" for k in shown if k in values)
-        self.bar.update(self.task, completed=trainer.global_step, description=f"training {text}")
+        names = {"train/coarse": "coarse", "train/fine": "fine", "train/occupancy": "occ"}
+        text = " ".join(f"{n} {float(values[k]):.2f}" for k, n in names.items() if k in values)
+        if "val/fscore" in values:
+            text += f" val F {float(values['val/fscore']):.2f}"
+        self.bar.update(self.task, completed=trainer.global_step, description=f"train {text}")
 
     def _stop(self) -> None:
         if self.bar is not None:

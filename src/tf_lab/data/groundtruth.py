@@ -192,6 +192,9 @@ class GroundTruth:
             world2grid = np.loadtxt(directory / "world2grid.txt").reshape(4, 4)
             with np.load(directory / "chunks.npz") as chunks:
                 self.centers, self.weight = chunks["centers"], chunks["weight"]
+            shape = self.sdf_volume.shape
+            if len(shape) != 3 or shape != self.distance_volume.shape:
+                raise ValueError(f"volumes of {shape} and {self.distance_volume.shape}")
         except Exception as error:  # any damage: missing, truncated, wrong shape
             raise TFLabError(
                 f"{directory}: the ground truth is damaged ({error}); delete the scene and "
@@ -199,7 +202,6 @@ class GroundTruth:
             ) from error
         voxel = 1 / world2grid[0, 0]
         origin = -(world2grid[:3, 3] + 0.5) * voxel
-        shape = self.sdf_volume.shape
         self.grid = VoxelGrid(
             (float(origin[0]), float(origin[1]), float(origin[2])),
             float(voxel),
@@ -217,15 +219,12 @@ class GroundTruth:
     def _sample(self, volume: np.ndarray, points: Tensor, outside: float) -> Tensor:
         """Read the block around the points, then interpolate in it."""
         index = self.grid.to_index(points)
-        low = index.amin(0).floor().long().clamp(min=0)
-        high = torch.minimum(index.amax(0).floor().long() + 2, torch.tensor(self.grid.shape))
-        if (high - low < 2).any():
-            return torch.full((len(points),), outside)
+        shape = torch.tensor(self.grid.shape)
+        low = torch.minimum(index.amin(0).floor().long().clamp(min=0), shape - 2)
+        high = torch.minimum(torch.maximum(index.amax(0).floor().long(), low) + 2, shape)
         x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
         block = torch.from_numpy(np.ascontiguousarray(volume[x, y, z]).astype(np.float32))
-        v = self.grid.voxel
-        origin = tuple(float(o + a * v) for o, a in zip(self.grid.origin, low, strict=True))
-        part = VoxelGrid(origin, v, tuple(block.shape))  # type: ignore[arg-type]
+        part = self.grid.block(low.tolist(), high.tolist())
         values = part.sample(block[None], points)[:, 0]
-        inside = ((index >= -0.5) & (index <= torch.tensor(self.grid.shape) - 0.5)).all(-1)
+        inside = ((index >= -0.5) & (index <= shape - 0.5)).all(-1)
         return torch.where(inside, values, torch.full_like(values, outside))

@@ -120,9 +120,7 @@ class PairStream(IterableDataset[PairBatch]):
         return PairBatch(
             images=torch.from_numpy(images).permute(0, 3, 1, 2).contiguous(),
             uv_a=uv_a[seen],
-            uv_b=torch.cat(
-                [uv[seen, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1
-            ),
+            uv_b=torch.cat([uv[seen, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1),
         )
 
     def _points(self, scene: Scene, a: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:

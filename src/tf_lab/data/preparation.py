@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -43,7 +45,7 @@ def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = N
     context = multiprocessing.get_context("spawn")
     with (
         progress_bar() as bar,
-        ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool,
+        ProcessPoolExecutor(workers, mp_context=context, initializer=_worker) as pool,
     ):
         task = bar.add_task(title, total=len(missing))
         futures = {pool.submit(_build, job): job for job in missing}
@@ -57,8 +59,17 @@ def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = N
         raise TFLabError(f"{len(failures)} of {len(missing)} scenes failed: " + "; ".join(failures))
 
 
-def _one_thread() -> None:
+def _worker() -> None:
+    """Start of a worker process: one thread, and no life after a killed parent."""
     torch.set_num_threads(1)
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _build(job: SceneJob) -> None:

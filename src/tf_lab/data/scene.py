@@ -29,7 +29,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Frame:
-    """One posed image: uint8 [H,W,3], K [3,3], world_T_cam [4,4], depth float32 [H,W] (m) or None."""
+    """One posed image: uint8 [H,W,3], K [3,3], world_T_cam [4,4], depth float32 [H,W] or None."""
 
     name: str
     image: np.ndarray

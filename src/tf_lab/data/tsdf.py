@@ -129,7 +129,7 @@ def _integrate(
     cam_T_world: Tensor,
     truncation: float,
 ) -> None:
-    """Add one frame to the views ``distance`` (a running sum) and ``weight`` [x, y, z], in place."""
+    """Add one frame to the blocks ``distance`` (a running sum) and ``weight`` [x, y, z]."""
     height, width = depth.shape
     uv, z = project(centers.reshape(-1, 3), K, cam_T_world)
     pixel = uv.round()

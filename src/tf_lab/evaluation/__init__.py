@@ -1,0 +1,1 @@
+"""Metrics, pure, and the published protocol."""

@@ -1,9 +1,8 @@
 """The 2D convolutional encoder Theta: an image to coarse and fine feature maps (paper, Sec. 3).
 
 A ResNet (He et al. 2016) of basic blocks with torchvision's state-dict keys, so that torchvision's
-ImageNet weights load as they are, and a light top-down pyramid (Lin et al. 2017). The paper does not
-say which layers give the features; the strides are config values (DESIGN: 1/16 and 1/4 at paper
-size).
+ImageNet weights load as they are, and a light top-down pyramid (Lin et al. 2017). The paper does
+not say which layers give the features; the strides are config values (1/16 and 1/4 at paper size).
 """
 
 from __future__ import annotations
@@ -206,7 +205,7 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
 
 
 def _imagenet_weights() -> dict[str, Tensor]:
-    """torchvision's ResNet-18 weights from torch's hub cache, else downloaded and verified."""
+    """ResNet-18 weights of torchvision from torch's hub cache, else downloaded and verified."""
     from urllib.error import URLError
 
     path = Path(torch.hub.get_dir()) / "checkpoints" / IMAGENET_URL.rsplit("/", 1)[1]

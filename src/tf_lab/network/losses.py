@@ -62,7 +62,8 @@ def losses(
 
     Args:
         predictions: of the network.
-        coarse_target, fine_target: bool [B, X, Y, Z], the true near-surface masks.
+        coarse_target: bool [B, X, Y, Z], the true coarse near-surface mask.
+        fine_target: bool [B, X, Y, Z], the true fine near-surface mask.
         sdf: [B, P] in metres, positive in front of the surface, NaN where unknown.
         use_masks: False for ``filter=false``: L = L_o.
         sdf_weight: of the signed-distance term; 0 in the paper.

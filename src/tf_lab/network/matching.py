@@ -1,4 +1,4 @@
-"""Dense contrastive matching: corresponding pixels get like features (InfoNCE, Oord et al. 2018)."""
+"""Dense contrastive matching: corresponding pixels get like features (InfoNCE, 2018)."""
 
 from __future__ import annotations
 

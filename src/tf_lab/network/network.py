@@ -204,10 +204,7 @@ class Network(nn.Module):
             coarse_inner, fine_volume.permute(0, 4, 1, 2, 3), fine_active
         )
         occupancy = torch.stack(
-            [
-                self.decode(coarse[b], coarse_grid, fine[b], fine_grid, points[b])
-                for b in range(B)
-            ]
+            [self.decode(coarse[b], coarse_grid, fine[b], fine_grid, points[b]) for b in range(B)]
         )
         seen_points = torch.stack([seen_by_any(points[b], b) for b in range(B)])
         return Predictions(
@@ -235,8 +232,6 @@ class Network(nn.Module):
 
 def subgrid(coarse: VoxelGrid, fine: VoxelGrid) -> tuple[slice, slice, slice]:
     """The coarse voxels that hold the fine grid (aligned to them, 3 to 1), as slices."""
-    start = [
-        round((f - c) / coarse.voxel) for c, f in zip(coarse.origin, fine.origin, strict=True)
-    ]
+    start = [round((f - c) / coarse.voxel) for c, f in zip(coarse.origin, fine.origin, strict=True)]
     x, y, z = (slice(s, s + n // 3) for s, n in zip(start, fine.shape, strict=True))
     return x, y, z

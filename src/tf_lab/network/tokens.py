@@ -1,4 +1,4 @@
-"""Tokens: what one view says about one point, theta_i = FCN(phi_i, d_i, v_i, r_i) (paper, Sec. 3.1)."""
+"""Tokens: what a view says about a point, FCN(phi_i, d_i, v_i, r_i) (paper, Sec. 3.1)."""
 
 from __future__ import annotations
 

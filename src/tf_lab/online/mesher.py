@@ -32,12 +32,12 @@ def extract(
         resolution: edge of the marching-cubes cells, metres; must divide the voxel.
         batch: points decoded at a time.
     """
-    n = round(grid.voxel / resolution)
+    n = round(grid.voxel / resolution) if resolution > 0 else 0
     if n < 1 or abs(n * resolution - grid.voxel) > 1e-6:
         raise TFLabError(
             f"resolution={resolution}: the fine voxel of {grid.voxel} m must be a multiple of it"
         )
-    fine = VoxelGrid(grid.origin, grid.voxel / n, tuple(s * n for s in grid.shape))  # type: ignore[arg-type]
+    fine = grid.refined(n)
     mask = active
     for axis in range(3):
         mask = mask.repeat_interleave(n, dim=axis)
@@ -80,7 +80,8 @@ def color_vertices(
     Args:
         mesh: a mesh with faces, metres.
         images: uint8 [3, H, W], N of them.
-        K, world_T_cam: [N, 3, 3], [N, 4, 4].
+        K: [N, 3, 3].
+        world_T_cam: [N, 4, 4].
         tolerance: a vertex this much (metres) behind the surface that an image sees is hidden.
     """
     vertices = torch.from_numpy(np.asarray(mesh.vertices)).float()

@@ -16,13 +16,15 @@ import torch
 import trimesh
 from torch import Tensor
 
-from tf_lab.data.groundtruth import COARSE, FINE
+from tf_lab.data.groundtruth import COARSE
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, pixel_directions, transform
 from tf_lab.network.network import Network
 from tf_lab.online.mesher import color_vertices, crossing_voxels, extract
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.view_store import ViewStore
+
+LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ class Reconstructor:
         if not near.any():
             return None
         grid, box = _crop(self.grid, near)
-        fine_grid = VoxelGrid(grid.origin, FINE, tuple(3 * n for n in grid.shape))  # type: ignore[arg-type]
+        fine_grid = grid.refined(3)
         active = near[box]
         for axis in range(3):
             active = active.repeat_interleave(3, dim=axis)
@@ -184,8 +186,7 @@ class Reconstructor:
         return 0 if logits is None else logits.shape[-1]
 
     def _store(self, level: str, points: Tensor) -> ViewStore:
-        voxel = COARSE if level == "coarse" else FINE
-        keys = (points / voxel).floor().long()
+        keys = (points / LATTICE).round().long()
         heads = self._heads(level) if self.policy.needs_weights else 0
         return ViewStore(keys, self.settings.views, heads, self.policy)
 
@@ -247,7 +248,5 @@ def _crop(grid: VoxelGrid, near: Tensor) -> tuple[VoxelGrid, tuple[slice, slice,
     """The smallest part of a grid that holds all ``near`` voxels, and its slices."""
     index = near.nonzero()
     low, high = index.amin(0).tolist(), (index.amax(0) + 1).tolist()
-    origin = tuple(o + a * grid.voxel for o, a in zip(grid.origin, low, strict=True))
-    shape = tuple(b - a for a, b in zip(low, high, strict=True))
     x, y, z = (slice(a, b) for a, b in zip(low, high, strict=True))
-    return VoxelGrid(origin, grid.voxel, shape), (x, y, z)  # type: ignore[arg-type]
+    return grid.block(low, high), (x, y, z)

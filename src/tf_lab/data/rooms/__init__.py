@@ -18,7 +18,7 @@ from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import make_walk
 from tf_lab.data.scene import Frame
 
-VERSION: int = 2
+VERSION: int = 3
 """Changes whenever the output for the same seed does."""
 
 FIELD_OF_VIEW = np.radians(58.0)  # horizontal, about ScanNet's
@@ -26,7 +26,7 @@ FIELD_OF_VIEW = np.radians(58.0)  # horizontal, about ScanNet's
 
 @dataclass(frozen=True)
 class RoomSettings:
-    """How a room is filmed: image size (pixels), number of frames, samples**2 rays an edge pixel."""
+    """How a room is filmed: image size (pixels), frames, samples**2 rays for a pixel on an edge."""
 
     width: int = 160
     height: int = 120

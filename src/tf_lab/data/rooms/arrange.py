@@ -7,23 +7,23 @@ from collections.abc import Callable
 import numpy as np
 
 from tf_lab.data.rooms import furniture as f
-from tf_lab.data.rooms.decor import Kit
+from tf_lab.data.rooms import storage as st
+from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.footprint import FreeSpace, Placed, overlap
-from tf_lab.data.rooms.furniture import Piece
 from tf_lab.data.rooms.layout import Plan, Wall
 
 Rng = np.random.Generator
 Maker = Callable[[Rng], Piece]
 
 THEMES: dict[str, tuple[Maker, ...]] = {
-    "living room": (f.sofa, f.television, f.shelf, f.sideboard, f.plant, f.sofa, f.floor_lamp),
-    "bedroom": (f.bed, f.wardrobe, f.sideboard, f.desk, f.floor_lamp, f.pouf, f.shelf),
-    "study": (f.desk, f.shelf, f.shelf, f.sideboard, f.plant, f.crates, f.wardrobe),
-    "dining room": (f.dining_table, f.sideboard, f.shelf, f.plant, f.wardrobe, f.floor_lamp),
-    "kitchen": (f.counter, f.fridge, f.dining_table, f.shelf, f.crates, f.sideboard),
+    "living room": (f.sofa, st.television, st.shelf, st.sideboard, f.plant, f.sofa, f.floor_lamp),
+    "bedroom": (f.bed, st.wardrobe, st.sideboard, f.desk, f.floor_lamp, f.pouf, st.shelf),
+    "study": (f.desk, st.shelf, st.shelf, st.sideboard, f.plant, f.crates, st.wardrobe),
+    "dining room": (f.dining_table, st.sideboard, st.shelf, f.plant, st.wardrobe, f.floor_lamp),
+    "kitchen": (st.counter, st.fridge, f.dining_table, st.shelf, f.crates, st.sideboard),
 }
 FILLERS: tuple[Maker, ...] = (
-    f.plant, f.crates, f.pouf, f.floor_lamp, f.chair, f.nightstand, f.shelf, f.sideboard,
+    f.plant, f.crates, f.pouf, f.floor_lamp, f.chair, st.nightstand, st.shelf, st.sideboard,
 )  # fmt: skip
 
 
@@ -79,9 +79,7 @@ class Arranger:
             if room <= 0:
                 continue
             corner = self._rng.random() < 0.35  # furniture likes corners
-            x = 0.03 + (
-                float(self._rng.choice([0, room])) if corner else self._rng.uniform(0, room)
-            )
+            x = 0.03 + room * float(self._rng.choice([0, 1]) if corner else self._rng.random())
             span = [x, x + piece.width, 0.0, piece.height]
             if _clash(span, self._taken[number]):
                 continue
@@ -127,7 +125,7 @@ class Arranger:
         elif piece.name == "bed":
             for side in (-0.5, w + 0.03):
                 if rng.random() < 0.8:
-                    stand = f.nightstand(rng)
+                    stand = st.nightstand(rng)
                     x = -stand.width - 0.04 if side < 0 else side
                     self._put(stand, _point(origin, yaw, x, 0.0), yaw, 0.01)
         elif piece.name == "sofa":
@@ -162,7 +160,7 @@ class Arranger:
             self._kit.s.box(low, high, self._kit.palette.index["rug"][0], skip="z-")
 
     def pictures(self, count: int) -> None:
-        """Pictures in frames on free parts of the walls, 2-3 cm proud of them, never overlapping."""
+        """Framed pictures on free parts of the walls, 2-3 cm proud of them, never overlapping."""
         rng, kit = self._rng, self._kit
         for _ in range(6 * count):
             number = int(rng.integers(len(self._plan.walls)))

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from tf_lab.data.rooms.materials import Palette, colour
+from tf_lab.data.rooms.materials import Palette
 from tf_lab.data.rooms.shapes import Surfaces, Tint, Vector
+from tf_lab.data.rooms.textures import colour
 
 Rng = np.random.Generator
 Rect = Sequence[float]
 METAL = (0.32, 0.3, 0.28)
+BLACK = (0.13, 0.13, 0.14)
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,29 @@ class Kit:
         self.s.box(low, high, material, tint, skip="y-")
 
 
+@dataclass(frozen=True)
+class Piece:
+    """A piece that can be built; sizes in metres."""
+
+    name: str
+    width: float
+    depth: float
+    height: float
+    build: Callable[[Kit], None]
+
+
+def legs(kit: Kit, w: float, d: float, h: float, mat: int, inset: float, round_: bool) -> None:
+    """Four legs, square or round, for a top of w by d at height h (m)."""
+    r = kit.rng.uniform(0.018, 0.03)
+    for x in (inset + r, w - inset - r):
+        for y in (inset + r, d - inset - r):
+            if round_:
+                with kit.s.at((x, y, 0)):
+                    kit.s.lathe([(r * 0.7, 0), (r, h)], mat, sides=8)
+            else:
+                kit.s.box((x - r, y - r, 0), (x + r, y + r, h), mat, skip="z- z+")
+
+
 def handle(kit: Kit, x: float, y: float, z: float, length: float) -> None:
     """A bar on a front at ``y``, centred at (x, z)."""
     kit.s.box(
@@ -81,7 +107,7 @@ def cushion(kit: Kit, low: Vector, high: Vector, material: int, tint: Tint = (1,
     for z, inset in rings:
         x0, y0, x1, y1 = low[0] + inset, low[1] + inset, high[0] - inset, high[1] - inset
         loops.append(np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]))
-    for lower, upper in zip(loops[:-1], loops[1:], strict=True):
+    for lower, upper in pairwise(loops):
         for k in range(4):
             j = (k + 1) % 4
             kit.s.polygon(np.array([lower[k], lower[j], upper[j], upper[k]]), material, tint)
@@ -128,7 +154,7 @@ def things(kit: Kit, area: Rect, z: float, count: int, room: float = 0.5) -> Non
         return
     slots = max(1, min(count, int((x1 - x0) / 0.24)))
     edges = np.linspace(x0, x1, slots + 1)
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in pairwise(edges):
         r = 0.5 * min(right - left, y1 - y0, 0.36)
         at = (rng.uniform(left + r, right - r + 1e-9), rng.uniform(y0 + r, y1 - r + 1e-9), z)
         makers = (_vase, _vase, _carton, _reading, _bowl, _bottles, _lamp)

@@ -6,36 +6,11 @@ y = 0, its front faces +y.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
-from tf_lab.data.rooms.decor import Kit, books, cushion, handle, things
+from tf_lab.data.rooms.decor import BLACK, Kit, Piece, cushion, handle, legs, things
 
 Rng = np.random.Generator
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A piece that can be built; sizes in metres."""
-
-    name: str
-    width: float
-    depth: float
-    height: float
-    build: Callable[[Kit], None]
-
-
-def _legs(kit: Kit, w: float, d: float, h: float, mat: int, inset: float, round_: bool) -> None:
-    r = kit.rng.uniform(0.018, 0.03)
-    for x in (inset + r, w - inset - r):
-        for y in (inset + r, d - inset - r):
-            if round_:
-                with kit.s.at((x, y, 0)):
-                    kit.s.lathe([(r * 0.7, 0), (r, h)], mat, sides=8)
-            else:
-                kit.s.box((x - r, y - r, 0), (x + r, y + r, h), mat, skip="z- z+")
 
 
 def table(rng: Rng, w: float, d: float, h: float, name: str = "table", load: int = 3) -> Piece:
@@ -46,7 +21,7 @@ def table(rng: Rng, w: float, d: float, h: float, name: str = "table", load: int
         t = rng.uniform(0.025, 0.045)
         kit.s.box((0, 0, h - t), (w, d, h), mat)
         kit.s.box((0.06, 0.06, h - t - 0.07), (w - 0.06, d - 0.06, h - t), mat, skip="z+")
-        _legs(kit, w, d, h - t, mat, 0.02, bool(rng.random() < 0.4))
+        legs(kit, w, d, h - t, mat, 0.02, bool(rng.random() < 0.4))
         things(kit, (0.06, 0.06, w - 0.06, d - 0.06), h, load)
 
     return Piece(name, w, d, h, build)
@@ -71,7 +46,7 @@ def desk(rng: Rng) -> Piece:
     def build(kit: Kit) -> None:
         mat, body = kit.wood(), kit.wood()
         kit.s.box((0, 0, h - 0.03), (w, d, h), mat)
-        _legs(kit, w, d, h - 0.03, kit.painted, 0.02, False)
+        legs(kit, w, d, h - 0.03, kit.painted, 0.02, False)
         x = w - 0.5
         kit.s.box((x, 0.08, 0.1), (x + 0.4, d - 0.08, h - 0.03), body, skip="z+")
         for k in range(3):
@@ -82,13 +57,9 @@ def desk(rng: Rng) -> Piece:
             handle(kit, x + 0.2, d - 0.062, z + 0.11, 0.12)
         a = rng.uniform(0.3, w - 0.75)
         if rng.random() < 0.75:  # a screen and a keyboard
-            kit.s.box(
-                (a + 0.18, 0.12, h), (a + 0.36, 0.27, h + 0.012), kit.painted, (0.2, 0.2, 0.2)
-            )
-            kit.s.box((a + 0.25, 0.16, h), (a + 0.29, 0.18, h + 0.2), kit.painted, (0.2, 0.2, 0.2))
-            kit.s.box(
-                (a, 0.18, h + 0.1), (a + 0.54, 0.215, h + 0.43), kit.painted, (0.1, 0.1, 0.12)
-            )
+            kit.s.box((a + 0.18, 0.12, h), (a + 0.36, 0.27, h + 0.012), kit.painted, BLACK)
+            kit.s.box((a + 0.25, 0.16, h), (a + 0.29, 0.18, h + 0.2), kit.painted, BLACK)
+            kit.s.box((a, 0.18, h + 0.1), (a + 0.54, 0.215, h + 0.43), kit.painted, BLACK)
             kit.picture((a + 0.015, 0.216, h + 0.115), (a + 0.525, 0.22, h + 0.415), kit.poster())
             kit.s.box((a, 0.36, h), (a + 0.42, 0.5, h + 0.02), kit.poster(), kit.tint(0.4))
             things(kit, (a + 0.6, 0.1, w - 0.05, d - 0.1), h, 2)
@@ -161,7 +132,7 @@ def bed(rng: Rng) -> Piece:
         start = rng.uniform(0.55, 0.9)
         kit.s.box((0.0, start, 0.33), (w, d - 0.005, h), cover, skip="z-")
         kit.s.box(
-            (-0.0 + 0.004, start - 0.03, h - 0.01),
+            (0.004, start - 0.03, h - 0.01),
             (w - 0.004, start + 0.2, h + 0.025),
             cover,
             kit.tint(0.75),
@@ -175,150 +146,6 @@ def bed(rng: Rng) -> Piece:
                 cushion(kit, (0, 0, 0), (0.42, 0.4, 0.14), kit.fabric())
 
     return Piece("bed", w, d, h + 0.03, build)
-
-
-def shelf(rng: Rng) -> Piece:
-    """A bookcase with books, boxes and vases."""
-    w, d, h = rng.uniform(0.6, 1.3), rng.uniform(0.26, 0.36), rng.uniform(1.1, 2.1)
-
-    def build(kit: Kit) -> None:
-        mat, t = kit.wood() if rng.random() < 0.7 else kit.painted, 0.022
-        for x in (0.0, w - t):
-            kit.s.box((x, 0, 0), (x + t, d, h), mat, skip="z-")
-        kit.s.box((t, 0, 0.05), (w - t, 0.012, h), mat, kit.tint(0.85))
-        levels = np.linspace(0.06, h - t, max(3, round(h / 0.36) + 1))
-        for z in levels:
-            kit.s.box((t, 0.012, z), (w - t, d - 0.006, z + t), mat, skip="x- x+ y-")
-        for z, above in zip(levels[:-1], levels[1:], strict=True):
-            room = (t + 0.01, 0.03, w - t - 0.01, d - 0.03)
-            if rng.random() < 0.72:
-                books(kit, room, z + t, above - z - t)
-            else:
-                things(kit, room, z + t, 3, above - z - t - 0.03)
-        if h < 1.5:
-            things(kit, (0.05, 0.03, w - 0.05, d - 0.03), h, 2)
-
-    return Piece("shelf", w, d, h, build)
-
-
-def cabinet(rng: Rng, w: float, d: float, h: float, name: str, drawers: bool) -> Piece:
-    """A closed body with doors or drawers, on feet or a plinth; things on top if it is low."""
-
-    def build(kit: Kit) -> None:
-        mat = kit.wood() if rng.random() < 0.6 else kit.painted
-        tint = kit.tint() if mat == kit.painted else np.ones(3)
-        foot = rng.choice([0.0, 0.12])
-        kit.s.box((0, 0, foot), (w, d - 0.02, h), mat, tint)
-        if foot:
-            _legs(kit, w, d, foot, kit.painted, 0.03, True)
-        columns = max(1, round(w / 0.48))
-        rows = max(2, round((h - foot) / 0.24)) if drawers else 1
-        xs, zs = (
-            np.linspace(0.01, w - 0.01, columns + 1),
-            np.linspace(foot + 0.02, h - 0.02, rows + 1),
-        )
-        front = 0.82 * tint if rng.random() < 0.5 else tint
-        for k in range(columns):
-            for z0, z1 in zip(zs[:-1], zs[1:], strict=True):
-                low, high = (
-                    (xs[k] + 0.006, d - 0.02, z0 + 0.006),
-                    (xs[k + 1] - 0.006, d, z1 - 0.006),
-                )
-                kit.s.box(low, high, mat, front, skip="y-")
-                middle = (
-                    (xs[k] + xs[k + 1]) / 2 if drawers else xs[k + k % 2] + 0.04 * (-1) ** (k + 1)
-                )
-                handle(kit, float(np.clip(middle, 0.05, w - 0.05)), d, (z0 + z1) / 2, 0.1)
-        if h < 1.3:
-            things(kit, (0.06, 0.05, w - 0.06, d - 0.06), h, int(rng.integers(2, 6)))
-
-    return Piece(name, w, d + 0.025, h, build)
-
-
-def sideboard(rng: Rng) -> Piece:
-    """A low, wide cabinet."""
-    size = rng.uniform(0.9, 1.8), rng.uniform(0.38, 0.5), rng.uniform(0.5, 0.95)
-    return cabinet(rng, *size, "sideboard", bool(rng.random() < 0.5))
-
-
-def wardrobe(rng: Rng) -> Piece:
-    """A tall cabinet."""
-    size = rng.uniform(0.9, 1.7), rng.uniform(0.5, 0.62), rng.uniform(1.85, 2.15)
-    return cabinet(rng, *size, "wardrobe", False)
-
-
-def nightstand(rng: Rng) -> Piece:
-    """A small chest of drawers."""
-    size = rng.uniform(0.38, 0.5), rng.uniform(0.35, 0.42), rng.uniform(0.45, 0.6)
-    return cabinet(rng, *size, "nightstand", True)
-
-
-def counter(rng: Rng) -> Piece:
-    """A kitchen counter with hanging cupboards above."""
-    w, d = rng.uniform(1.4, 2.4), 0.62
-    high = rng.uniform(2.0, 2.15)
-
-    def build(kit: Kit) -> None:
-        below = cabinet(rng, w, d - 0.03, 0.86, "counter", bool(rng.random() < 0.3))
-        below.build(kit)
-        kit.s.box(
-            (0, 0, 0.862), (w, d + 0.01, 0.9), kit.glaze if rng.random() < 0.5 else kit.wood()
-        )
-        things(kit, (0.05, 0.08, w - 0.05, d - 0.08), 0.9, 5)
-        n = int(rng.integers(1, 1 + int(w / 0.45)))
-        tint = kit.tint()
-        for k in range(n):
-            kit.s.box((k * 0.45, 0, 1.45), (k * 0.45 + 0.445, 0.31, high), kit.painted, tint)
-            kit.s.box(
-                (k * 0.45 + 0.01, 0.31, 1.46),
-                (k * 0.45 + 0.435, 0.328, high - 0.01),
-                kit.painted,
-                0.85 * tint,
-                skip="y-",
-            )
-            handle(kit, k * 0.45 + 0.38, 0.328, 1.53, 0.08)
-
-    return Piece("counter", w, d + 0.03, high, build)
-
-
-def fridge(rng: Rng) -> Piece:
-    """A fridge with notes on its door."""
-    w, d, h = rng.uniform(0.55, 0.7), 0.62, rng.uniform(1.45, 1.9)
-
-    def build(kit: Kit) -> None:
-        tint = kit.tint(1.0) if rng.random() < 0.4 else np.ones(3) * rng.uniform(0.5, 1)
-        kit.s.box((0, 0, 0.03), (w, d - 0.06, h), kit.painted, tint)
-        cut = h * rng.uniform(0.3, 0.7)
-        for z0, z1 in ((0.04, cut - 0.01), (cut, h)):
-            kit.s.box((0, d - 0.055, z0), (w, d, z1), kit.painted, tint)
-            handle(kit, 0.1, d, (z0 + z1) / 2, 0.06)
-        for k in range(int(rng.integers(1, 4))):
-            x, z = rng.uniform(0.2, w - 0.18), cut + 0.05 + 0.17 * k
-            if z + 0.15 < h:
-                kit.s.box((x, d, z), (x + 0.13, d + 0.006, z + 0.15), kit.poster(), skip="y-")
-
-    return Piece("fridge", w, d + 0.03, h, build)
-
-
-def television(rng: Rng) -> Piece:
-    """A low stand with a television."""
-    w, h = rng.uniform(1.1, 1.7), rng.uniform(0.4, 0.55)
-    stand = cabinet(rng, w, 0.38, h, "stand", bool(rng.random() < 0.5))
-
-    def build(kit: Kit) -> None:
-        stand.build(Kit(kit.s, kit.palette, kit.rng, bare=True))
-        x, z, wide = w / 2, h + 0.05, rng.uniform(0.8, w - 0.1)
-        kit.s.box((x - 0.2, 0.12, h), (x + 0.2, 0.3, h + 0.012), kit.painted, (0.15, 0.15, 0.15))
-        kit.s.box((x - 0.03, 0.18, h), (x + 0.03, 0.2, z + 0.02), kit.painted, (0.15, 0.15, 0.15))
-        top = z + wide * 0.57
-        kit.s.box((x - wide / 2, 0.2, z), (x + wide / 2, 0.24, top), kit.painted, (0.1, 0.1, 0.1))
-        low, high = (
-            (x - wide / 2 + 0.015, 0.241, z + 0.015),
-            (x + wide / 2 - 0.015, 0.246, top - 0.015),
-        )
-        kit.picture(low, high, kit.poster() if rng.random() < 0.6 else kit.glaze, kit.tint(0.5))
-
-    return Piece("television", w, 0.41, h + 0.05 + 0.57 * w, build)
 
 
 def floor_lamp(rng: Rng) -> Piece:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from tf_lab.data.rooms.materials import Palette, colour
+from tf_lab.data.rooms.materials import Palette
 from tf_lab.data.rooms.shapes import Surfaces
+from tf_lab.data.rooms.textures import colour
 
 Rng = np.random.Generator
 Rect = tuple[float, float, float, float]
@@ -126,8 +128,9 @@ def build_shell(surfaces: Surfaces, plan: Plan, palette: Palette, rng: Rng) -> N
     turn = rng.choice([0, np.pi / 2, 0.6])
     along = (np.cos(turn), np.sin(turn), 0.0)
     surfaces.polygon(floor, palette.index["floor"][0], u_axis=along, triangles=fan)
-    ceiling = floor + [0, 0, plan.height]
-    flipped = [(a, c, b) for a, b, c in fan]
+    last = len(floor) - 1
+    ceiling = floor[::-1] + np.array([0, 0, plan.height])
+    flipped = [(last - a, last - c, last - b) for a, b, c in fan]
     surfaces.polygon(ceiling, palette.index["ceiling"][0], triangles=flipped)
     accent = rng.choice(len(plan.walls), int(rng.integers(1, 3)), replace=False)
     for i, wall in enumerate(plan.walls):
@@ -143,7 +146,7 @@ def _quad(surfaces: Surfaces, span: Rect, material: int, uv: np.ndarray) -> None
     """A piece x0, z0, x1, z1 of a wall; pieces with the same ``uv`` at the origin continue."""
     x0, z0, x1, z1 = span
     corners = np.array([[x1, 0, z0], [x0, 0, z0], [x0, 0, z1], [x1, 0, z1]])
-    start = uv + [x1, -z0]
+    start = uv + np.array([x1, -z0])
     surfaces.polygon(corners, material, u_axis=(1, 0, 0), uv_start=start)
 
 
@@ -212,7 +215,7 @@ def _door(s: Surfaces, o: Opening, palette: Palette, rng: Rng, tint: np.ndarray)
     s.box((x0 + 0.01, d + 0.01, 0), (x1 - 0.01, d + 0.05, high - 0.01), leaf, skip="z- y-")
     rows = int(rng.integers(1, 4))
     edges = np.linspace(0.12, high - 0.06, rows + 1)
-    for low, top in zip(edges[:-1], edges[1:], strict=True):
+    for low, top in pairwise(edges):
         size = (x0 + 0.13, d + 0.05, low), (x1 - 0.13, d + 0.065, top - 0.07)
         s.box(*size, leaf, 0.85 * np.ones(3), skip="y-")
     metal, knob = palette.index["painted"][0], x1 - 0.09

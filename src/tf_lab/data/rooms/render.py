@@ -20,7 +20,7 @@ BLURRED = 0.04  # the share of frames with motion blur
 
 @dataclass(frozen=True)
 class Lighting:
-    """Point lights [L, 3] with colours [L, 3] (the first two cast shadows), ambient [3], exposure."""
+    """Point lights [L, 3] and colours [L, 3] (two cast shadows), ambient light [3], exposure."""
 
     positions: np.ndarray
     colours: np.ndarray
@@ -69,9 +69,8 @@ class Renderer:
         face = self.scene.run(np.ascontiguousarray(origin), direction.astype(np.float32))
         normal = self._geometry.normals[face]
         # the exact plane, not embree's float32 distance
-        depth = (self._plane[face] - normal @ pose[:3, 3]) / np.einsum(
-            "ni,ni->n", normal, direction
-        )
+        slope = np.einsum("ni,ni->n", normal, direction)
+        depth = (self._plane[face] - normal @ pose[:3, 3]) / slope
         return face, depth, pose[:3, 3] + depth[:, None] * direction
 
     def _shade(

@@ -1,4 +1,4 @@
-"""Surfaces of a room: quads, boxes and lathed solids, each face with a material and a flat uv frame.
+"""Surfaces of a room: polygons, boxes, lathed solids; each face with a material and a uv frame.
 
 A uv frame maps a hit point (metres, world) to metres on the face, so that a texture keeps its real
 size on any face and nothing has to be unwrapped.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -154,7 +155,7 @@ class Surfaces:
         turn = np.linspace(0, 2 * np.pi, sides + 1)
         ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
         start = self.rng.uniform(0, 8, 2)
-        for (r0, z0), (r1, z1) in zip(profile[:-1], profile[1:], strict=True):
+        for (r0, z0), (r1, z1) in pairwise(profile):
             for k in range(sides):
                 corners = np.array(
                     [
@@ -168,10 +169,11 @@ class Surfaces:
                     corners = corners[[0, 2, 3]]
                 elif r1 < 1e-6:
                     corners = corners[:3]
-                uv = start + [2 * np.pi * max(r0, r1) * k / sides, z0]
+                uv = start + np.array([2 * np.pi * max(r0, r1) * k / sides, z0])
                 self.polygon(corners, material, tint, glow, uv_start=uv)
-                if double:
-                    self.polygon(corners[::-1], material, tint, glow)
+                if double:  # 4 mm inside: coincident faces would flicker
+                    inside = corners[::-1] * [1 - 0.004 / r0, 1 - 0.004 / r0, 1]
+                    self.polygon(inside, material, tint, glow)
 
     def build(self) -> RoomGeometry:
         """Everything collected so far."""

@@ -129,7 +129,7 @@ def _gaze(
     first = rays[0, np.argmax(np.where(visible[0], distance[0], 0))]
     angles = np.array([np.arctan2(first[1], first[0]), -0.3])
     rate, goal, age = np.zeros(2), angles.copy(), 0
-    level = np.clip(-0.26 + 0.17 * _wave(rng, len(position), 12), -0.6, 0.15)  # a habit of pitch
+    level = np.clip(-0.3 + 0.12 * _wave(rng, len(position), 12), -0.6, 0.15)  # a habit of pitch
     out = np.empty((len(position), 2))
     for i, ray in enumerate(rays):
         age += 1
@@ -153,13 +153,13 @@ def _look(
     rng: Rng,
 ) -> np.ndarray:
     """Yaw and pitch, near ``level``, whose cone holds the most points that were seldom seen."""
-    need = visible * np.exp(-seen / 7)
+    need = visible / (1 + seen / 15)
     inside = ray @ ray.T > CONE
     value = inside @ need.astype(np.float32)
     turn = (np.arctan2(ray[:, 1], ray[:, 0]) - angles[0] + np.pi) % (2 * np.pi) - np.pi
     pitch = np.arcsin(ray[:, 2])
     habit = np.exp(-(((pitch - level) / 0.35) ** 2))
-    value = value * habit * (1 - 0.15 * np.abs(turn)) * rng.uniform(0.8, 1, len(seen))
+    value = value * habit * (1 - 0.1 * np.abs(turn)) * rng.uniform(0.8, 1, len(seen))
     best = int(np.argmax(np.where(visible & (distance > 0.9), value, -1)))
     return np.array([angles[0] + turn[best], np.clip(pitch[best], -0.65, 0.25)])
 

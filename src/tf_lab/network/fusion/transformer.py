@@ -74,6 +74,15 @@ class TransformerFusion(nn.Module):
         self.token = nn.Parameter(torch.randn(width) * 0.02)
         self.blocks = nn.ModuleList(Block(width, heads, expansion) for _ in range(blocks))
         self.norm = nn.LayerNorm(width)
+        import os
+
+        if os.environ.get("MIMETIC"):
+            with torch.no_grad():
+                for block in self.blocks[:1]:
+                    block.query.weight.copy_(torch.eye(width) * float(os.environ["MIMETIC"]))
+                    block.key.weight.copy_(torch.eye(width) * float(os.environ["MIMETIC"]))
+                    block.value.weight.add_(torch.eye(width) * 0.5)
+                    block.project.weight.add_(-torch.eye(width) * 0.5)
 
     def selection_logits(self, tokens: Tensor) -> Tensor:
         """First-block logits [..., K, H] of views [..., K, D]."""

@@ -1,0 +1,40 @@
+"""A capture at another image size: the one that a network was trained at."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from PIL import Image
+
+from tf_lab.data.capture import Capture
+from tf_lab.geometry import scale_intrinsics
+
+
+class Resized:
+    """A `Capture` whose colour images are resized to (width, height).
+
+    The aspect ratio need not be kept: the intrinsics follow. Depth is resized by nearest
+    neighbours, so that no two readings are mixed.
+    """
+
+    def __init__(self, capture: Capture, size: tuple[int, int]) -> None:
+        self._capture = capture
+        self.size = size
+        self.name, self.frames, self.skipped = capture.name, capture.frames, capture.skipped
+        self.K = scale_intrinsics(torch.from_numpy(capture.K), capture.size, size).numpy()
+        self.world_T_cam = capture.world_T_cam
+        self.source_R_world = capture.source_R_world
+
+    def image(self, index: int) -> np.ndarray:
+        """uint8 [H, W, 3] RGB, area-averaged."""
+        image = self._capture.image(index)
+        if (image.shape[1], image.shape[0]) == self.size:
+            return image
+        return np.asarray(Image.fromarray(image).resize(self.size, Image.Resampling.BOX))
+
+    def depth(self, index: int) -> np.ndarray | None:
+        """float32 [H, W] metres, 0 where unknown; None without depth."""
+        depth = self._capture.depth(index)
+        if depth is None:
+            return None
+        return np.asarray(Image.fromarray(depth).resize(self.size, Image.Resampling.NEAREST))

@@ -1,0 +1,129 @@
+"""Posed images to a mesh, with the shipped checkpoint or one of yours.
+
+python -m tf_lab.reconstruct [input=DIR] [checkpoint=FILE] [output=FILE.ply]
+
+Without an input it reconstructs a test room and prints its score.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import trimesh
+from omegaconf import DictConfig
+
+from tf_lab.checkpoint import load_network, shipped_checkpoint
+from tf_lab.commands import command, plain
+from tf_lab.configuration import prepare_data, test_settings
+from tf_lab.data.capture import Capture
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
+from tf_lab.data.readers import open_capture
+from tf_lab.data.resize import Resized
+from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import evaluate_scene, format_table, read_mesh
+from tf_lab.files import atomic_path
+from tf_lab.network.network import Network
+from tf_lab.pictures import compare
+from tf_lab.progress import progress_bar
+from tf_lab.scoring import Reconstruction, TestSettings, reconstruct
+
+
+@command("reconstruct")
+def main(cfg: DictConfig) -> None:
+    """Reconstruct, write mesh and picture, score where the depth is known."""
+    config = plain(cfg)
+    checkpoint = Path(config["checkpoint"]) if config["checkpoint"] else shipped_checkpoint()
+    network, info = load_network(checkpoint)
+    network.to(_device(config["device"]))
+    capture = _open(config, info)
+    output = Path(config["output"] or f"outputs/reconstructions/{capture.name}.ply")
+    if output.suffix != ".ply":
+        raise TFLabError(f"output={output}: the mesh is written as .ply")
+    start = time.time()
+    result = _reconstruct(network, capture, test_settings(config))
+    seconds = time.time() - start
+    mesh = result.mesh
+    if config["source_frame"]:
+        mesh = _in_source_frame(mesh, capture)
+    with atomic_path(output) as temporary:
+        mesh.export(temporary, file_type="ply")
+    skipped = [*capture.skipped, *result.skipped]
+    print(
+        f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames in "
+        f"{seconds:.1f} s, {len(skipped)} frames skipped"
+    )
+    for reason in skipped[:10]:
+        print(f"  skipped {reason}")
+    if not len(mesh.faces):
+        print(f"{output}: no surface was found; the mesh is empty")
+        return
+    print(f"{output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
+    _score_and_draw(capture, result, output.with_suffix(".png"))
+
+
+def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:
+    """The input at the image size that the checkpoint was trained at; a test room without one."""
+    if config["input"] is None:
+        return Scene(prepare_data(config, ("test",))["test"][0])
+    capture = open_capture(Path(config["input"]), config["format"], config["gravity"])
+    data = info.get("training", {}).get("config", {}).get("data", {})
+    if "width" not in data:
+        return capture
+    return Resized(capture, (data["width"], data["height"]))
+
+
+def _reconstruct(network: Network, capture: Capture, settings: TestSettings) -> Reconstruction:
+    with progress_bar() as bar:
+        task = bar.add_task("adding keyframes", total=None)
+
+        def show(done: int, total: int) -> None:
+            text = "fusing and meshing" if done == total else "adding keyframes"
+            bar.update(task, completed=done, total=total, description=text)
+
+        return reconstruct(network, capture, settings, show)
+
+
+def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> None:
+    """Draw the mesh; where the source has depth, beside the mesh fused from it, with the score."""
+    frames = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
+    images = [capture.image(i) for i in frames]
+    truth: trimesh.Trimesh | None = None
+    fscore = None
+    with tempfile.TemporaryDirectory() as temporary:
+        groundtruth = Path(temporary)
+        if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
+            groundtruth = capture.groundtruth
+        elif capture.depth(0) is not None:
+            write_groundtruth(capture, groundtruth, GroundTruthSettings())
+        if (groundtruth / "mesh_gt.ply").exists():
+            scores = evaluate_scene(result.mesh, groundtruth)
+            print("against the mesh fused from its own depth:")
+            print(format_table([(capture.name, scores)], first="Scene"))
+            truth, fscore = read_mesh(groundtruth / "mesh_gt.ply"), scores["fscore"]
+    compare(result.mesh, truth, images, picture, capture.name, fscore)
+    print(f"{picture}: a picture of it")
+
+
+def _in_source_frame(mesh: trimesh.Trimesh, capture: Capture) -> trimesh.Trimesh:
+    """A copy in the world of the source's poses."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = capture.source_R_world
+    return mesh.copy().apply_transform(matrix)
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
+    return torch.device(name)
+
+
+if __name__ == "__main__":
+    main()

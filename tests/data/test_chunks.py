@@ -1,0 +1,256 @@
+"""Training chunks of the analytic room: consistent geometry, and the same at every run."""
+
+import itertools
+import pickle
+from pathlib import Path
+
+import box_room
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from tf_lab.data.chunks import (
+    COARSE_GRID,
+    FINE_GRID,
+    ChunkBatch,
+    ChunkSampler,
+    ChunkSettings,
+    ChunkStream,
+)
+from tf_lab.data.groundtruth import CHUNK, COARSE, FINE, GroundTruth
+from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
+
+NEAR, FAR = 0.3, 5.0
+SMALL = ChunkSettings(chunks=2, views=(3,), points=64)
+
+
+def sampler(box_scene: Path, settings: ChunkSettings = SMALL, far: float = FAR) -> ChunkSampler:
+    return ChunkSampler([box_scene], settings, NEAR, far)
+
+
+def stream(box_scene: Path, **arguments: int) -> ChunkStream:
+    return ChunkStream(sampler(box_scene), **{"seed": 0, **arguments})
+
+
+def same(a: ChunkBatch, b: ChunkBatch) -> bool:
+    return all(
+        torch.equal(torch.nan_to_num(x, -7), torch.nan_to_num(y, -7))
+        for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
+    )
+
+
+def frames_of(batch: ChunkBatch, scene: Scene) -> list[list[int]]:
+    """Which frames the images are: int [B][V]."""
+    known = [torch.from_numpy(scene.image(i)).permute(2, 0, 1) for i in range(len(scene))]
+    return [
+        [next(i for i, k in enumerate(known) if torch.equal(k, image)) for image in images]
+        for images in batch.images
+    ]
+
+
+def world_T_chunk(batch: ChunkBatch, scene: Scene) -> Tensor:
+    """[B, 4, 4], told by the cameras: world_T_cam of the scene times the inverse of the chunk's."""
+    frames = frames_of(batch, scene)
+    poses = torch.from_numpy(scene.world_T_cam[[f[0] for f in frames]])
+    return poses @ torch.linalg.inv(batch.world_T_cam[:, 0].double())
+
+
+@pytest.fixture(scope="module")
+def batch(box_scene: Path) -> ChunkBatch:
+    settings = ChunkSettings(chunks=8, views=(4,), points=1000)
+    return sampler(box_scene, settings).batch(np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def scene(box_scene: Path) -> Scene:
+    return Scene(box_scene)
+
+
+def test_shapes(batch: ChunkBatch) -> None:
+    assert batch.images.shape == (8, 4, 3, 60, 80)
+    assert batch.images.dtype == torch.uint8
+    assert batch.K.shape == (8, 4, 3, 3)
+    assert batch.world_T_cam.shape == (8, 4, 4, 4)
+    assert batch.coarse_target.shape == (8, 7, 7, 7)
+    assert batch.fine_target.shape == (8, 15, 15, 15)
+    assert batch.coarse_target.dtype == batch.fine_target.dtype == torch.bool
+    assert batch.points.shape == (8, 1000, 3)
+    assert batch.sdf.shape == (8, 1000)
+    for value in (batch.K, batch.world_T_cam, batch.points, batch.sdf):
+        assert value.dtype == torch.float32
+
+
+def test_cameras_belong_to_the_images(batch: ChunkBatch, scene: Scene) -> None:
+    """One rigid motion about the vertical takes all cameras of a chunk to the scene's."""
+    for b, frames in enumerate(frames_of(batch, scene)):
+        assert len(set(frames)) == 4
+        poses = torch.from_numpy(scene.world_T_cam[frames])
+        motion = poses @ torch.linalg.inv(batch.world_T_cam[b].double())
+        torch.testing.assert_close(motion, motion[:1].expand(4, 4, 4), atol=1e-5, rtol=0)
+        rotation = motion[0, :3, :3]
+        torch.testing.assert_close(
+            rotation @ rotation.T, torch.eye(3).double(), atol=1e-5, rtol=0
+        )
+        torch.testing.assert_close(
+            rotation[:, 2], torch.tensor([0, 0, 1]).double(), atol=1e-5, rtol=0
+        )
+        assert torch.linalg.det(rotation) > 0
+        np.testing.assert_allclose(batch.K[b], scene.K[frames], rtol=1e-6)
+
+
+def test_surface_points_seen_by_the_cameras_are_surface_in_the_chunk(
+    batch: ChunkBatch, scene: Scene
+) -> None:
+    """Depth unprojected with a chunk's own cameras falls on near-surface voxels."""
+    checked = 0
+    for b, frames in enumerate(frames_of(batch, scene)):
+        for i, frame in enumerate(frames):
+            depth = scene.depth(frame)
+            assert depth is not None
+            k = batch.K[b, i].numpy()
+            v, u = np.indices(depth.shape)
+            camera = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)])
+            camera = (camera * depth).reshape(3, -1)
+            pose = batch.world_T_cam[b, i].numpy()
+            points = (pose[:3, :3] @ camera).T + pose[:3, 3]
+            inside = ((points > 0.05) & (points < CHUNK - 0.05)).all(1)
+            fine = np.floor(points[inside] / FINE).astype(int)
+            coarse = np.floor(points[inside] / COARSE).astype(int) + 1
+            # the voxel of a surface point has its centre within 8.7 cm of it: near on both levels
+            assert batch.fine_target[b][tuple(fine.T)].float().mean() > 0.98
+            assert batch.coarse_target[b][tuple(coarse.T)].all()
+            checked += inside.sum()
+    assert checked > 5000
+
+
+def test_targets_are_the_analytic_distances(batch: ChunkBatch, scene: Scene) -> None:
+    transforms = world_T_chunk(batch, scene).numpy()
+    for b, pose in enumerate(transforms):
+        for grid, target, radius in (
+            (COARSE_GRID, batch.coarse_target, COARSE),
+            (FINE_GRID, batch.fine_target, FINE),
+        ):
+            centers = grid.centers().double().numpy().reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+            signed = box_room.signed_distance(centers)
+            clear = (np.abs(np.abs(signed) - radius) > 0.03) & (signed > -0.1)
+            near = target[b].flatten().numpy()
+            assert (near == (np.abs(signed) < radius))[clear].mean() > 0.995
+
+
+def test_sdf_is_the_analytic_distance(batch: ChunkBatch, scene: Scene) -> None:
+    transforms = world_T_chunk(batch, scene).numpy()
+    for b, pose in enumerate(transforms):
+        points = batch.points[b].double().numpy() @ pose[:3, :3].T + pose[:3, 3]
+        true, found = box_room.signed_distance(points), batch.sdf[b].numpy()
+        known = np.isfinite(found)
+        close = known & (np.abs(true) < 0.06)
+        assert np.median(np.abs(found - true)[close]) < 0.01
+        clear = known & (np.abs(true) > 0.04)
+        assert ((found > 0) == (true > 0))[clear].mean() > 0.98
+        assert known[true > 0.05].mean() > 0.97
+
+
+def test_points_are_mostly_near_the_surface(batch: ChunkBatch, scene: Scene) -> None:
+    assert (batch.points >= 0).all()
+    assert (batch.points < CHUNK).all()
+    shares = []
+    for b, pose in enumerate(world_T_chunk(batch, scene).numpy()):
+        points = batch.points[b].double().numpy() @ pose[:3, :3].T + pose[:3, 3]
+        true = np.abs(box_room.signed_distance(points))
+        shares.append((true[:800] < 0.1).mean())
+        # the last fifth is uniform: as near as the chunk is
+        uniform = np.random.default_rng(0).uniform(0, CHUNK, (20_000, 3)) @ pose[:3, :3].T
+        volume = (np.abs(box_room.signed_distance(uniform + pose[:3, 3])) < 0.1).mean()
+        assert (true[800:] < 0.1).mean() == pytest.approx(volume, abs=0.12)
+    assert np.mean(shares) > 0.9
+
+
+def test_views_see_the_chunk(box_scene: Path, scene: Scene) -> None:
+    """Every image sees its share of the chunk; with more asked for, fewer images qualify."""
+    centers = np.stack(np.meshgrid(*[np.arange(0.15, 1.5, 0.3)] * 3, indexing="ij"), -1)
+    points = centers.reshape(-1, 3)
+    for coverage in (0.1, 0.4):
+        settings = ChunkSettings(chunks=4, views=(2,), points=10, coverage=coverage)
+        batch = sampler(box_scene, settings).batch(np.random.default_rng(0))
+        for b, i in itertools.product(range(4), range(2)):
+            camera = (points - batch.world_T_cam[b, i, :3, 3].numpy()) @ batch.world_T_cam[
+                b, i, :3, :3
+            ].numpy()
+            u, v = (batch.K[b, i].numpy() @ camera.T)[:2] / camera[:, 2]
+            seen = (camera[:, 2] > NEAR) & (np.abs(u - 39.5) < 40) & (np.abs(v - 29.5) < 30)
+            assert seen.mean() >= coverage - 0.01
+
+
+def test_without_augmentation_only_shifts(box_scene: Path, scene: Scene) -> None:
+    settings = ChunkSettings(chunks=3, views=(2,), points=10, augment=False)
+    batch = sampler(box_scene, settings).batch(np.random.default_rng(0))
+    rotations = world_T_chunk(batch, scene)[:, :3, :3]
+    torch.testing.assert_close(rotations, torch.eye(3).double().expand(3, 3, 3), atol=1e-5, rtol=0)
+
+
+def test_chunks_are_drawn_by_weight(box_scene: Path) -> None:
+    """Centres against the weights of the candidates, jitter apart."""
+    chunks, truth = sampler(box_scene), GroundTruth(box_scene / "groundtruth")
+    rng = np.random.default_rng(0)
+    centers = []
+    for _ in range(1500):
+        pose = torch.linalg.inv(chunks._place(truth, rng)).numpy()
+        centers.append(pose[:3, :3] @ np.full(3, CHUNK / 2) + pose[:3, 3])
+    share = truth.weight / truth.weight.sum()
+    expected = (share[:, None] * truth.centers).sum(0)
+    spread = np.std(centers, axis=0) / 1500**0.5
+    assert (np.abs(np.mean(centers, axis=0) - expected) < 4 * spread).all()
+    assert np.linalg.norm(np.array(centers) - box_room.BOX.mean(0), axis=1).min() < 0.2
+
+
+def test_a_batch_is_a_function_of_seed_rank_and_step(box_scene: Path) -> None:
+    first = list(itertools.islice(stream(box_scene), 4))
+    again = list(itertools.islice(stream(box_scene), 4))
+    assert all(same(a, b) for a, b in zip(first, again, strict=True))
+    for other in (stream(box_scene, seed=1), stream(box_scene, rank=1)):
+        assert not same(next(iter(other)), first[0])
+    assert not any(same(a, b) for a, b in itertools.combinations(first, 2))
+    for start in (1, 3):
+        resumed = itertools.islice(stream(box_scene, first_step=start), 4 - start)
+        assert all(same(a, b) for a, b in zip(resumed, first[start:], strict=True))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_number_of_workers_does_not_matter(box_scene: Path, workers: int) -> None:
+    expected = itertools.islice(stream(box_scene, first_step=5), 4)
+    loader = DataLoader(stream(box_scene, first_step=5), batch_size=None, num_workers=workers)
+    found = itertools.islice(iter(loader), 4)
+    assert all(same(a, b) for a, b in zip(found, expected, strict=True))
+
+
+def test_a_stream_travels_to_worker_processes(box_scene: Path) -> None:
+    """Where processes aren't forked (macOS, Windows, Python 3.14) the stream is pickled."""
+    original = stream(box_scene)
+    copy = pickle.loads(pickle.dumps(original))
+    assert same(next(iter(copy)), next(iter(original)))
+
+
+def test_the_number_of_views_varies_from_step_to_step(box_scene: Path) -> None:
+    chunks = sampler(box_scene, ChunkSettings(chunks=1, views=(2, 3, 5), points=8))
+    counts = {b.images.shape[1] for b in itertools.islice(ChunkStream(chunks, 0), 12)}
+    assert counts == {2, 3, 5}
+
+
+def test_moving_a_batch(batch: ChunkBatch) -> None:
+    moved = batch.to(torch.device("meta"))
+    assert {v.device.type for v in vars(moved).values()} == {"meta"}
+    assert moved.images.dtype == torch.uint8
+
+
+def test_nothing_to_train_on(box_scene: Path, tmp_path: Path) -> None:
+    with pytest.raises(TFLabError, match="no training scene"):
+        ChunkSampler([], SMALL, NEAR, FAR)
+    many = sampler(box_scene, ChunkSettings(chunks=1, views=(19,), points=8))  # of 18 frames
+    with pytest.raises(TFLabError, match="no chunk with 19 views"):
+        many.batch(np.random.default_rng(0))
+    missing = ChunkSampler([tmp_path / "gone"], SMALL, NEAR, FAR)
+    with pytest.raises(TFLabError, match=r"gone.*prepare"):
+        missing.batch(np.random.default_rng(0))

@@ -1,0 +1,309 @@
+"""Ground truth of the analytic box room against its known distances."""
+
+import shutil
+from pathlib import Path
+
+import box_room
+import numpy as np
+import pytest
+import torch
+import trimesh
+from torch import Tensor
+
+from tf_lab.data.groundtruth import (
+    COARSE,
+    FINE,
+    MAX_DISTANCE,
+    GroundTruth,
+    GroundTruthSettings,
+    chunk_candidates,
+    fuse_capture,
+    signed_distance,
+    surface_distance,
+    views_per_point,
+    write_groundtruth,
+)
+from tf_lab.data.scene import Frame, Scene, write_scene
+from tf_lab.data.tsdf import TSDF
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import VoxelGrid
+
+VOXEL = GroundTruthSettings().voxel
+TRUNCATION = GroundTruthSettings().truncation
+
+
+@pytest.fixture(scope="module")
+def truth(box_scene: Path) -> GroundTruth:
+    return GroundTruth(box_scene / "groundtruth")
+
+
+@pytest.fixture(scope="module")
+def files(box_scene: Path) -> Path:
+    return box_scene / "groundtruth"
+
+
+@pytest.fixture(scope="module")
+def mesh(files: Path) -> trimesh.Trimesh:
+    return trimesh.load(files / "mesh_gt.ply", process=False)  # type: ignore[return-value]
+
+
+def points_in(lower: np.ndarray, upper: np.ndarray, count: int = 4000) -> np.ndarray:
+    return np.random.default_rng(0).uniform(lower, upper, (count, 3))
+
+
+def tensor(points: np.ndarray) -> Tensor:
+    return torch.from_numpy(points).float()
+
+
+def test_the_mesh_lies_on_the_walls_and_the_box(mesh: trimesh.Trimesh) -> None:
+    off = np.abs(box_room.signed_distance(np.asarray(mesh.vertices)))
+    assert off.mean() < 0.006
+    room = np.ptp(box_room.ROOM, axis=0)
+    area = 2 * (room[0] * room[1] + room[1] * room[2] + room[2] * room[0]) + 4 * 0.36
+    assert mesh.area == pytest.approx(area, rel=0.03)
+    into_room = box_room.signed_distance(mesh.triangles_center + 0.05 * mesh.face_normals)
+    assert (into_room > 0).mean() > 0.99
+
+
+def test_world2grid_maps_voxel_centres_to_integers(files: Path, truth: GroundTruth) -> None:
+    world2grid = np.loadtxt(files / "world2grid.txt")
+    mask = np.load(files / "occlusion_mask.npy")
+    assert mask.dtype == np.uint8
+    assert mask.shape == truth.grid.shape
+    centers = truth.grid.centers().double().numpy().reshape(-1, 3)
+    index = centers @ world2grid[:3, :3].T + world2grid[:3, 3]
+    np.testing.assert_allclose(index, np.argwhere(np.ones(mask.shape)), atol=1e-4)
+    assert truth.grid.voxel == pytest.approx(VOXEL)
+
+
+def test_the_occlusion_mask_marks_what_no_frame_observed(files: Path, truth: GroundTruth) -> None:
+    occluded = np.load(files / "occlusion_mask.npy").astype(bool)
+    distance = box_room.signed_distance(truth.grid.centers().numpy().reshape(-1, 3))
+    distance = distance.reshape(occluded.shape)
+    # The truncation is along the optical axis; across a slanting ray it reaches up to 1.5 times
+    # as far. This is behind the walls and inside the box.
+    assert occluded[distance < -1.5 * TRUNCATION].all()
+    assert occluded[distance > VOXEL].mean() < 0.01  # 18 cameras see all but all of the room
+    assert not occluded[np.abs(distance) < 0.02].mean() > 0.01
+    # the inside of the box and what lies behind a wall, both there to be marked
+    inside = truth.grid.to_index(torch.tensor([[0.63, -0.01, 0.32]])).round().long()[0].tolist()
+    assert occluded[tuple(inside)]
+    assert occluded[0].all()
+
+
+def test_signed_distance_near_the_surface(truth: GroundTruth) -> None:
+    points = points_in(box_room.ROOM[0], box_room.ROOM[1], 20_000)
+    true = box_room.signed_distance(points)
+    near = points[np.abs(true) < 0.06]
+    found = truth.signed_distance(tensor(near)).numpy()
+    assert np.isfinite(found).mean() > 0.95  # not where an edge hides one of the 8 voxels around
+    error = np.abs(found - box_room.signed_distance(near))
+    assert np.nanmedian(error) < 0.008
+    assert np.nanmean(error) < 0.012
+    free = points[true > 0.3]
+    found = truth.signed_distance(tensor(free)).numpy()
+    np.testing.assert_allclose(found, TRUNCATION, atol=1e-3)  # clipped there
+
+
+def test_behind_the_box_is_unknown_and_behind_the_walls_is_solid(
+    truth: GroundTruth, files: Path
+) -> None:
+    inside = points_in(box_room.BOX[0] + 0.2, box_room.BOX[1] - 0.2, 50)
+    assert torch.isnan(truth.signed_distance(tensor(inside))).all()
+    # under the floor and above the ceiling of columns that were seen
+    middle = tensor(np.array([[0.0, 0, box_room.ROOM[0][2] - 0.13], [0, 0, 2.02 + 0.155]]))
+    assert torch.isnan(truth.signed_distance(middle)).all()
+    # at the corners of the grid whole columns lie behind two walls
+    lower = np.array(truth.grid.origin) + 0.01
+    for x in (lower[0], box_room.ROOM[1][0] + 0.16):
+        for y in (lower[1], box_room.ROOM[1][1] + 0.16):
+            column = tensor(np.array([[x, y, z] for z in np.arange(lower[2], 2.1, 0.05)]))
+            assert (truth.signed_distance(column) + TRUNCATION).abs().max() < 1e-3
+    occluded = np.load(files / "occlusion_mask.npy").astype(bool)
+    columns = np.broadcast_to(occluded.all(2, keepdims=True), occluded.shape)
+    sdf = np.load(files / "sdf.npy")
+    assert np.array_equal(np.isnan(sdf), occluded & ~columns)
+    np.testing.assert_allclose(sdf[columns], -TRUNCATION, atol=1e-3)
+    assert np.abs(sdf[~occluded]).max() < TRUNCATION + 1e-3
+
+
+def test_column_rule_by_hand() -> None:
+    """Four columns: free then surface then hidden; all hidden; hidden at both ends; all seen."""
+    seen = torch.tensor([[0, 0, 1, 1], [0, 0, 0, 0], [0, 1, 1, 0], [1, 1, 1, 1]]).bool()
+    distance = torch.linspace(-0.1, 0.1, 16).view(4, 1, 4)
+    tsdf = TSDF(
+        VoxelGrid((0, 0, 0), 0.1, (4, 1, 4)), distance, seen[:, None].float(), truncation=0.12
+    )
+    found = signed_distance(tsdf)[:, 0]
+    assert torch.equal(torch.isnan(found), ~seen & seen.any(1, keepdim=True))
+    assert torch.equal(found[seen], distance[:, 0][seen])
+    torch.testing.assert_close(found[1], torch.full((4,), -0.12))
+
+
+def test_surface_distance(truth: GroundTruth) -> None:
+    points = points_in(box_room.ROOM[0] - 0.1, box_room.ROOM[1] + 0.1)
+    true = np.minimum(np.abs(box_room.signed_distance(points)), MAX_DISTANCE)
+    found = truth.surface_distance(tensor(points)).numpy()
+    known = box_room.signed_distance(points) > -0.05  # there is no floor under the box
+    error = (found - true)[known]
+    # to the nearest vertex rather than to the surface between them: too large close to it
+    assert np.quantile(np.abs(error), 0.95) < 0.025
+    far = known & (true > 0.09)
+    assert np.abs((found - true)[far]).mean() < 0.006
+
+
+def test_near_masks_by_brute_force(truth: GroundTruth, mesh: trimesh.Trimesh) -> None:
+    """As a chunk asks: voxel centres within v_c, v_f of the surface."""
+    rng = np.random.default_rng(1)
+    samples = mesh.triangles[rng.integers(0, len(mesh.faces), 40_000)]
+    samples = (rng.dirichlet(np.ones(3), 40_000)[..., None] * samples).sum(1)
+    for radius in (FINE, COARSE):
+        centers = points_in(box_room.ROOM[0], box_room.ROOM[1], 300)
+        distance = np.array([np.linalg.norm(samples - c, axis=1).min() for c in centers])
+        near = truth.surface_distance(tensor(centers)).numpy() < radius
+        clear = np.abs(distance - radius) > 0.02
+        assert clear.mean() > 0.8
+        assert (near == (distance < radius))[clear].all()
+        assert 0.1 < near.mean() < 0.95
+
+
+def test_surface_distance_of_a_known_mesh() -> None:
+    grid = VoxelGrid((0, 0, 0), 0.1, (3, 4, 12))
+    mesh = trimesh.Trimesh([[0.05, 0.05, 0.05], [0.25, 0.05, 0.05], [0.05, 0.35, 0.05]], [[0, 1, 2]])
+    found = surface_distance(mesh, grid)
+    assert found[0, 0, 0].item() == pytest.approx(0, abs=1e-6)
+    assert found[0, 0, 3].item() == pytest.approx(0.3, abs=1e-6)
+    assert found[1, 1, 0].item() == pytest.approx(0.02**0.5, abs=1e-6)
+    assert found[0, 0, 11] == MAX_DISTANCE
+
+
+@pytest.mark.parametrize("beyond", [0.005, 0.3])
+def test_outside_of_the_volume_nothing_is_known(truth: GroundTruth, beyond: float) -> None:
+    lower = torch.tensor(truth.grid.origin)
+    upper = lower + VOXEL * torch.tensor(truth.grid.shape)
+    outside = torch.stack([lower - beyond, upper + beyond, lower - 100])
+    for points in (outside, torch.cat([outside, torch.zeros(1, 3)])):
+        assert torch.isnan(truth.signed_distance(points)[:3]).all()
+        assert (truth.surface_distance(points)[:3] == MAX_DISTANCE).all()
+
+
+def test_points_in_the_outermost_half_voxel_are_inside(truth: GroundTruth) -> None:
+    """One alone or among others, a point gets the same answer."""
+    upper = torch.tensor(truth.grid.origin) + VOXEL * torch.tensor(truth.grid.shape)
+    corners = torch.stack([torch.tensor(truth.grid.origin) + 0.01, upper - 0.01])
+    together = truth.signed_distance(corners)
+    torch.testing.assert_close(together, torch.full((2,), -TRUNCATION), atol=1e-3, rtol=0)
+    alone = torch.cat([truth.signed_distance(c[None]) for c in corners])
+    torch.testing.assert_close(alone, together)
+
+
+def parts(*boxes: tuple[list[float], list[float]]) -> trimesh.Trimesh:
+    """A vertex every 4 cm on the faces of boxes."""
+    vertices = []
+    for lower, upper in boxes:
+        axes = [np.arange(a, b + 0.02, 0.04) for a, b in zip(lower, upper, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        lowest, highest = grid.min(0), grid.max(0)
+        vertices.append(grid[((grid == lowest) | (grid == highest)).any(1)])
+    return trimesh.Trimesh(np.concatenate(vertices), process=False)
+
+
+def test_chunk_weights_rise_from_free_space_over_walls_to_furniture() -> None:
+    """An 8 x 8 x 2.6 m hall with furniture in one corner."""
+    hall = parts(([0, 0, 0], [8, 8, 2.6]), ([1, 1, 0.6], [1.8, 1.8, 1.4]))
+    centers, weight = chunk_candidates(hall, VoxelGrid((0, 0, 0), VOXEL, (200, 200, 65)))
+    assert centers.dtype == weight.dtype == np.float32
+
+    def at(*point: float) -> float:
+        return float(weight[np.linalg.norm(centers - np.array(point), axis=1).argmin()])
+
+    # 1.5 m chunks: the air at half height sees neither floor nor ceiling
+    assert at(5.1, 5.1, 1.2) == pytest.approx(0.15)
+    assert at(7.8, 5.1, 1.2) == pytest.approx(1.0)  # a wall
+    assert at(5.1, 5.1, 0.0) == pytest.approx(1.0)  # the floor
+    assert at(1.4, 1.4, 1.0) > 2
+    assert 0.15 <= weight.min() <= weight.max() <= 3
+
+
+def test_a_scene_of_walls_alone_has_no_furniture() -> None:
+    _, weight = chunk_candidates(
+        parts(([0, 0, 0], [4, 4, 2.4])), VoxelGrid((0, 0, 0), VOXEL, (100, 100, 60))
+    )
+    assert set(np.unique(weight)) <= {np.float32(0.15), np.float32(1.0)}
+
+
+def test_chunks_of_the_room(truth: GroundTruth) -> None:
+    near_box = (np.abs(truth.centers - box_room.BOX.mean(0)).max(1) < 0.5).nonzero()[0]
+    far_from_it = (truth.centers[:, 0] < -0.7).nonzero()[0]
+    assert truth.weight[near_box].min() > 1.3
+    assert truth.weight[near_box].min() > truth.weight[far_from_it].mean()
+    assert (truth.centers > box_room.ROOM[0] - 0.05).all()
+    assert (truth.centers < box_room.ROOM[1] + 0.05).all()
+
+
+@pytest.mark.filterwarnings("ignore:loadtxt")
+@pytest.mark.parametrize("name", ["sdf.npy", "distance.npy", "world2grid.txt", "chunks.npz"])
+@pytest.mark.parametrize("damage", ["missing", "truncated", "empty", "other"])
+def test_damaged_files(files: Path, tmp_path: Path, name: str, damage: str) -> None:
+    copy = tmp_path / "groundtruth"
+    shutil.copytree(files, copy)
+    path = copy / name
+    content = path.read_bytes()
+    path.unlink()
+    if damage == "other":
+        np.save(copy / "other.npy", np.zeros(7))
+        path.write_bytes((copy / "other.npy").read_bytes())
+    elif damage != "missing":
+        path.write_bytes(content[: len(content) // 2] if damage == "truncated" else b"")
+    with pytest.raises(TFLabError, match=r"groundtruth: the ground truth is damaged.*prepare it"):
+        GroundTruth(copy)
+
+
+def test_views_per_point_by_brute_force(box_scene: Path, mesh: trimesh.Trimesh) -> None:
+    """Ray by ray: a frame sees a vertex if the room's analytic depth along its ray is as far."""
+    scene, frames = Scene(box_scene), [0, 3, 4, 11]
+    part = trimesh.Trimesh(np.asarray(mesh.vertices)[::211], process=False)
+    counts = views_per_point(scene, frames, part)
+    assert counts.shape == (len(part.vertices),)
+    K = box_room.intrinsics()
+    least, most = np.zeros(len(counts), int), np.zeros(len(counts), int)
+    for frame in frames:
+        pose = scene.world_T_cam[frame]
+        for i, vertex in enumerate(np.asarray(part.vertices)):
+            x, y, z = pose[:3, :3].T @ (vertex - pose[:3, 3])
+            u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
+            if z < 0.05 or not (-0.45 < u < 79.45 and -0.45 < v < 59.45):
+                most[i] += z > 0.05 and -0.55 < u < 79.55 and -0.55 < v < 59.55
+                continue
+            # the depth of a one-pixel image that looks along the vertex' own ray
+            ray = np.array([[K[0, 0], 0, -(u - K[0, 2])], [0, K[1, 1], -(v - K[1, 2])], [0, 0, 1]])
+            first = float(box_room.depth_image(pose, ray, (1, 1))[0, 0])
+            pixel = 1.5 * z / K[0, 0]  # readings are of pixel centres, up to grazing angles
+            least[i] += abs(first - z) < 0.05 - pixel
+            most[i] += abs(first - z) < 0.05 + 4 * pixel
+    assert (least <= counts).mean() > 0.97
+    assert (counts <= most).mean() > 0.99
+    assert least.max() >= 2
+    assert (most == 0).any()
+
+
+def test_captures_that_give_no_ground_truth(tmp_path: Path) -> None:
+    pose, K = box_room.look(np.zeros(3), 0.0, 0.0), box_room.intrinsics()
+    image = np.zeros((60, 80, 3), np.uint8)
+    blind = Frame("a", image, K, pose, np.zeros((60, 80), np.float32))
+    bare = Frame("a", image, K, pose, None)
+    for name, frame, message in (("blind", blind, "no depth reading"), ("bare", bare, "no depth")):
+        scene = write_scene(tmp_path / name, [frame], {}, name)
+        with pytest.raises(TFLabError, match=message):
+            write_groundtruth(scene, scene.groundtruth, GroundTruthSettings())
+        assert not scene.groundtruth.exists()
+
+
+def test_readings_beyond_far_do_not_widen_the_volume(tmp_path: Path) -> None:
+    depth = np.full((60, 80), 2.0, np.float32)
+    depth[:3] = 9.0
+    pose = box_room.look(np.zeros(3), 0.0, 0.0)
+    frame = Frame("a", np.zeros((60, 80, 3), np.uint8), box_room.intrinsics(), pose, depth)
+    scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
+    grid = fuse_capture(scene, GroundTruthSettings()).grid
+    assert grid.origin[0] + grid.voxel * grid.shape[0] < 2.3
