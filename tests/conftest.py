@@ -3,11 +3,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import box_room
 import hypothesis
 import pytest
 import torch
 
+import box_room
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.scene import write_scene
 from tf_lab.network.network import Network, NetworkConfig
@@ -54,7 +54,7 @@ def redkitchen() -> Path:
 
 @pytest.fixture(scope="session")
 def box_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of the analytic room (see box_room.py), with ground truth. Don't write to it."""
+    """The analytic room of box_room.py as a scene with ground truth. Don't write to it."""
     directory = tmp_path_factory.mktemp("scenes") / "box_room"
     scene = write_scene(directory, box_room.frames(), {"source": "analytic"}, "box_room")
     write_groundtruth(scene, scene.groundtruth, GroundTruthSettings())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -48,12 +49,13 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     try:
         network = Network(NetworkConfig(**json.loads(metadata["config"])))
         network.load_state_dict(state)
-    except (TypeError, KeyError, ValueError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
+        info = json.loads(metadata.get("info", "{}"))
+    except (TFLabError, TypeError, KeyError, ValueError, RuntimeError) as error:
+        reason = textwrap.shorten(str(error), 160)
         raise TFLabError(
             f"{path}: made by another version or another network ({reason}); train it again"
         ) from error
-    return network.eval(), json.loads(metadata.get("info", "{}"))
+    return network.eval(), info
 
 
 def shipped_checkpoint(name: str = "tiny") -> Path:

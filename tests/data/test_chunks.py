@@ -4,13 +4,13 @@ import itertools
 import pickle
 from pathlib import Path
 
-import box_room
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+import box_room
 from tf_lab.data.chunks import (
     COARSE_GRID,
     FINE_GRID,
@@ -44,7 +44,7 @@ def same(a: ChunkBatch, b: ChunkBatch) -> bool:
 
 def frames_of(batch: ChunkBatch, scene: Scene) -> list[list[int]]:
     """Which frames the images are: int [B][V]."""
-    known = [torch.from_numpy(scene.image(i)).permute(2, 0, 1) for i in range(len(scene))]
+    known = [torch.tensor(scene.image(i)).permute(2, 0, 1) for i in range(len(scene))]
     return [
         [next(i for i, k in enumerate(known) if torch.equal(k, image)) for image in images]
         for images in batch.images
@@ -91,9 +91,7 @@ def test_cameras_belong_to_the_images(batch: ChunkBatch, scene: Scene) -> None:
         motion = poses @ torch.linalg.inv(batch.world_T_cam[b].double())
         torch.testing.assert_close(motion, motion[:1].expand(4, 4, 4), atol=1e-5, rtol=0)
         rotation = motion[0, :3, :3]
-        torch.testing.assert_close(
-            rotation @ rotation.T, torch.eye(3).double(), atol=1e-5, rtol=0
-        )
+        torch.testing.assert_close(rotation @ rotation.T, torch.eye(3).double(), atol=1e-5, rtol=0)
         torch.testing.assert_close(
             rotation[:, 2], torch.tensor([0, 0, 1]).double(), atol=1e-5, rtol=0
         )
@@ -121,23 +119,49 @@ def test_surface_points_seen_by_the_cameras_are_surface_in_the_chunk(
             coarse = np.floor(points[inside] / COARSE).astype(int) + 1
             # the voxel of a surface point has its centre within 8.7 cm of it: near on both levels
             assert batch.fine_target[b][tuple(fine.T)].float().mean() > 0.98
-            assert batch.coarse_target[b][tuple(coarse.T)].all()
+            assert batch.coarse_target[b][tuple(coarse.T)].float().mean() > 0.9
             checked += inside.sum()
     assert checked > 5000
 
 
-def test_targets_are_the_analytic_distances(batch: ChunkBatch, scene: Scene) -> None:
-    transforms = world_T_chunk(batch, scene).numpy()
-    for b, pose in enumerate(transforms):
+def wrong_targets(
+    batch: ChunkBatch, scene: Scene, truth: GroundTruth, beyond: bool
+) -> tuple[int, int]:
+    """How many voxels have a target that the analytic distance contradicts, and of how many.
+
+    Of voxels with their centre beyond the ground truth's volume, or of the others.
+    """
+    wrong = count = 0
+    for b, pose in enumerate(world_T_chunk(batch, scene).numpy()):
         for grid, target, radius in (
             (COARSE_GRID, batch.coarse_target, COARSE),
             (FINE_GRID, batch.fine_target, FINE),
         ):
             centers = grid.centers().double().numpy().reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
-            signed = box_room.signed_distance(centers)
-            clear = (np.abs(np.abs(signed) - radius) > 0.03) & (signed > -0.1)
-            near = target[b].flatten().numpy()
-            assert (near == (np.abs(signed) < radius))[clear].mean() > 0.995
+            distance = np.abs(box_room.signed_distance(centers))
+            index = truth.grid.to_index(torch.from_numpy(centers)).numpy()
+            outside = ((index < -0.5) | (index > np.array(truth.grid.shape) - 0.5)).any(1)
+            # 3 cm for the volume's resolution; there is no surface under the box
+            asked = (np.abs(distance - radius) > 0.03) & (outside == beyond)
+            asked &= beyond | (centers[:, 2] > box_room.ROOM[0][2])
+            wrong += int(((target[b].flatten().numpy() != (distance < radius)) & asked).sum())
+            count += int(asked.sum())
+    return wrong, count
+
+
+def test_targets_are_the_analytic_distances(
+    batch: ChunkBatch, scene: Scene, box_scene: Path
+) -> None:
+    wrong, count = wrong_targets(batch, scene, GroundTruth(box_scene / "groundtruth"), False)
+    assert count > 10_000
+    assert wrong < 0.002 * count
+
+
+def test_targets_behind_the_outermost_walls(
+    batch: ChunkBatch, scene: Scene, box_scene: Path
+) -> None:
+    wrong, _ = wrong_targets(batch, scene, GroundTruth(box_scene / "groundtruth"), True)
+    assert wrong == 0
 
 
 def test_sdf_is_the_analytic_distance(batch: ChunkBatch, scene: Scene) -> None:
@@ -248,8 +272,8 @@ def test_moving_a_batch(batch: ChunkBatch) -> None:
 def test_nothing_to_train_on(box_scene: Path, tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match="no training scene"):
         ChunkSampler([], SMALL, NEAR, FAR)
-    many = sampler(box_scene, ChunkSettings(chunks=1, views=(19,), points=8))  # of 18 frames
-    with pytest.raises(TFLabError, match="no chunk with 19 views"):
+    many = sampler(box_scene, ChunkSettings(chunks=1, views=(21,), points=8))  # of 20 frames
+    with pytest.raises(TFLabError, match="no chunk with 21 views"):
         many.batch(np.random.default_rng(0))
     missing = ChunkSampler([tmp_path / "gone"], SMALL, NEAR, FAR)
     with pytest.raises(TFLabError, match=r"gone.*prepare"):

@@ -3,13 +3,13 @@
 import shutil
 from pathlib import Path
 
-import box_room
 import numpy as np
 import pytest
 import torch
 import trimesh
 from torch import Tensor
 
+import box_room
 from tf_lab.data.groundtruth import (
     COARSE,
     FINE,
@@ -83,12 +83,10 @@ def test_the_occlusion_mask_marks_what_no_frame_observed(files: Path, truth: Gro
     # The truncation is along the optical axis; across a slanting ray it reaches up to 1.5 times
     # as far. This is behind the walls and inside the box.
     assert occluded[distance < -1.5 * TRUNCATION].all()
-    assert occluded[distance > VOXEL].mean() < 0.01  # 18 cameras see all but all of the room
-    assert not occluded[np.abs(distance) < 0.02].mean() > 0.01
-    # the inside of the box and what lies behind a wall, both there to be marked
+    assert occluded[distance > VOXEL].mean() < 0.01  # 20 cameras see all but all of the room
+    assert occluded[np.abs(distance) < 0.02].mean() < 0.01
     inside = truth.grid.to_index(torch.tensor([[0.63, -0.01, 0.32]])).round().long()[0].tolist()
     assert occluded[tuple(inside)]
-    assert occluded[0].all()
 
 
 def test_signed_distance_near_the_surface(truth: GroundTruth) -> None:
@@ -169,7 +167,9 @@ def test_near_masks_by_brute_force(truth: GroundTruth, mesh: trimesh.Trimesh) ->
 
 def test_surface_distance_of_a_known_mesh() -> None:
     grid = VoxelGrid((0, 0, 0), 0.1, (3, 4, 12))
-    mesh = trimesh.Trimesh([[0.05, 0.05, 0.05], [0.25, 0.05, 0.05], [0.05, 0.35, 0.05]], [[0, 1, 2]])
+    mesh = trimesh.Trimesh(
+        [[0.05, 0.05, 0.05], [0.25, 0.05, 0.05], [0.05, 0.35, 0.05]], [[0, 1, 2]]
+    )
     found = surface_distance(mesh, grid)
     assert found[0, 0, 0].item() == pytest.approx(0, abs=1e-6)
     assert found[0, 0, 3].item() == pytest.approx(0.3, abs=1e-6)
@@ -261,7 +261,7 @@ def test_damaged_files(files: Path, tmp_path: Path, name: str, damage: str) -> N
 
 def test_views_per_point_by_brute_force(box_scene: Path, mesh: trimesh.Trimesh) -> None:
     """Ray by ray: a frame sees a vertex if the room's analytic depth along its ray is as far."""
-    scene, frames = Scene(box_scene), [0, 3, 4, 11]
+    scene, frames = Scene(box_scene), [2, 5, 6, 13]
     part = trimesh.Trimesh(np.asarray(mesh.vertices)[::211], process=False)
     counts = views_per_point(scene, frames, part)
     assert counts.shape == (len(part.vertices),)

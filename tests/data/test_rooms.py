@@ -46,7 +46,8 @@ def test_same_seed_same_room_other_seed_other_room() -> None:
     a, b, c = (list(generate_room(s, small)) for s in (5, 5, 6))
     for x, y in zip(a, b, strict=True):
         assert np.array_equal(x.image, y.image)
-        assert np.array_equal(x.depth, y.depth)  # type: ignore[arg-type]
+        assert x.depth is not None and y.depth is not None
+        assert np.array_equal(x.depth, y.depth)
         assert np.array_equal(x.world_T_cam, y.world_T_cam)
     assert not np.array_equal(a[0].image, c[0].image)
     assert room_mesh(5, small).vertices.shape != room_mesh(6, small).vertices.shape

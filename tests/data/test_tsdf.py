@@ -2,13 +2,13 @@
 
 import math
 
-import box_room
 import numpy as np
 import pytest
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+import box_room
 from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse, unproject
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
@@ -170,10 +170,10 @@ def test_frustum_blocks_lose_nothing() -> None:
 
 
 def test_a_room() -> None:
-    """Fused from 9 small frames: close to the analytic walls and box."""
+    """Fused from 10 small frames: close to the analytic walls and box."""
     poses = torch.from_numpy(np.stack(box_room.poses())).float()[::2]
     depths = [torch.from_numpy(box_room.depth_image(p.numpy())).float() for p in poses]
-    k = torch.from_numpy(box_room.intrinsics()).float().expand(9, 3, 3)
+    k = torch.from_numpy(box_room.intrinsics()).float().expand(len(poses), 3, 3)
     grid = VoxelGrid.covering(box_room.ROOM[0] - 0.2, box_room.ROOM[1] + 0.2, 0.05)
     tsdf = fuse(depths, k, poses, grid, TRUNCATION, FAR)
     centers = grid.centers().numpy().reshape(-1, 3)
@@ -189,9 +189,7 @@ def test_a_room() -> None:
     assert off.mean() < 0.007
     assert np.quantile(off, 0.99) < 0.02
     # what the cameras see is there: each of a sample of true surface points has a vertex nearby
-    points = torch.cat(
-        [unproject(d, k[0], p) for d, p in zip(depths, poses, strict=True)]
-    )[::17]
+    points = torch.cat([unproject(d, k[0], p) for d, p in zip(depths, poses, strict=True)])[::17]
     distance, _ = cKDTree(mesh.vertices).query(points.numpy())
     assert np.quantile(distance, 0.98) < 0.05
 

@@ -47,10 +47,11 @@ def test_a_chunk_equals_the_same_part_of_a_larger_scene() -> None:
     part, part_logits = refinement.coarse(psi[..., x, y, z], seen[:, x, y, z])
     inner = (slice(REACH, 17 - REACH), slice(REACH, 16 - REACH), slice(0, 18))
     outer = tuple(slice(s.start + o, s.stop + o) for s, o in zip(inner, (2, 1, 0), strict=True))
-    torch.testing.assert_close(part[..., *inner], whole[..., *outer], atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(
-        part_logits[..., *inner], whole_logits[..., *outer], atol=1e-5, rtol=1e-5
-    )
+    (a, b, c), (i, j, k) = inner, outer
+    for found, expected in ((part, whole), (part_logits, whole_logits)):
+        torch.testing.assert_close(
+            found[..., a, b, c], expected[..., i, j, k], atol=1e-5, rtol=1e-5
+        )
 
 
 def test_a_voxel_reaches_seven_voxels_and_no_further() -> None:

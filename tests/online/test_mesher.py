@@ -1,6 +1,5 @@
 """Decoding, meshing and colouring of known shapes."""
 
-
 import numpy as np
 import pytest
 import torch
@@ -71,8 +70,8 @@ def test_only_active_voxels_are_decoded_and_meshed() -> None:
 
 def test_a_solid_field_gives_no_faces_at_the_boundary() -> None:
     some = torch.rand(GRID.shape, generator=torch.Generator().manual_seed(0)) < 0.5
-    for value in (3.0, -3.0):
-        assert len(extract(lambda p: torch.full((len(p),), value), GRID, some, 0.05).faces) == 0
+    assert len(extract(lambda p: torch.full((len(p),), 3.0), GRID, some, 0.05).faces) == 0
+    assert len(extract(lambda p: torch.full((len(p),), -3.0), GRID, some, 0.05).faces) == 0
     assert len(extract(ball, GRID, ~active(), 0.05).faces) == 0
 
 
@@ -124,9 +123,11 @@ def uniform(r: int, g: int, b: int) -> Tensor:
 
 def paint(mesh: trimesh.Trimesh, images: list[Tensor], poses: list[Tensor]) -> np.ndarray:
     color_vertices(mesh, images, K.expand(len(images), 3, 3), torch.stack(poses))
-    assert len(mesh.visual.vertex_colors) == len(mesh.vertices)
-    assert (mesh.visual.vertex_colors[:, 3] == 255).all()
-    return np.asarray(mesh.visual.vertex_colors[:, :3]).astype(int)
+    assert isinstance(mesh.visual, trimesh.visual.ColorVisuals)
+    colors = np.asarray(mesh.visual.vertex_colors).astype(int)
+    assert colors.shape == (len(mesh.vertices), 4)
+    assert (colors[:, 3] == 255).all()
+    return colors[:, :3]
 
 
 @pytest.mark.parametrize("side", ["right", "below"])
@@ -156,6 +157,7 @@ def test_no_colour_passes_through_an_occluder() -> None:
     """A wall behind another: the hidden part keeps grey, the rest is painted."""
     front, back = wall(1.0, 0.3), wall(2.0, 0.9)
     mesh = trimesh.util.concatenate([front, back])
+    assert isinstance(mesh, trimesh.Trimesh)
     colors = paint(mesh, [uniform(9, 99, 199)], [along_x()])
     on_front = mesh.vertices[:, 0] < 1.5
     shadow = np.abs(mesh.vertices[:, 1:]).max(1)
@@ -171,5 +173,3 @@ def test_what_no_image_sees_is_grey(at: float) -> None:
     if at < 0:
         poses[0][1, 3] = 1000.0
     assert (paint(mesh, [uniform(1, 2, 3)], poses) == 128).all()
-
-

@@ -62,7 +62,7 @@ def test_attention_equals_a_list_of_measurements(
         rows = np.flatnonzero(rng.random(voxels) < 0.7)
         logits = rng.normal(size=(len(rows), heads))
         store.add(frame, torch.from_numpy(rows), torch.from_numpy(logits))
-        for row, logit in zip(rows, logits, strict=True):
+        for row, logit in zip(rows.tolist(), logits, strict=True):
             measurements = held[row]
             if len(measurements) == views:
                 e = np.exp([m[1] for m in measurements])
@@ -72,8 +72,8 @@ def test_attention_equals_a_list_of_measurements(
     for row, measurements in enumerate(held):
         frames_held = [f for f in store.frames[row].tolist() if f >= 0]
         assert sorted(frames_held) == [m[0] for m in measurements]
-        for frame, logit in measurements:
-            slot = store.frames[row].tolist().index(frame)
+        for held_frame, logit in measurements:
+            slot = store.frames[row].tolist().index(held_frame)
             np.testing.assert_allclose(store.logits[row, slot], logit, rtol=1e-6)
 
 

@@ -88,7 +88,6 @@ class ChunkSampler:
             raise TFLabError("there is no training scene; prepare the data first")
         self.scenes, self.settings = list(scenes), settings
         self.near, self.far = near, far
-        self.open = lru_cache(maxsize=256)(_open)
 
     def batch(self, rng: np.random.Generator) -> ChunkBatch:
         """One batch, a function of the generator's state alone."""
@@ -96,7 +95,7 @@ class ChunkSampler:
         chunks: list[ChunkBatch] = []
         for _ in range(100 * self.settings.chunks):
             directory = self.scenes[rng.integers(len(self.scenes))]
-            chunk = self.chunk(*self.open(directory), rng, views)
+            chunk = self.chunk(*_open(directory), rng, views)
             if chunk is not None:
                 chunks.append(chunk)
             if len(chunks) == self.settings.chunks:
@@ -128,7 +127,8 @@ class ChunkSampler:
         candidates = torch.from_numpy(rng.random((8 * s.points, 3), np.float32)) * CHUNK
         near = truth.surface_distance(to_world(candidates)) < TRUNCATION
         n_near = min(round(s.near_share * s.points), int(near.sum()))
-        points = torch.cat([candidates[near][:n_near], candidates[: s.points - n_near]])
+        uniform = candidates[len(candidates) - (s.points - n_near) :]
+        points = torch.cat([candidates[near][:n_near], uniform])
         images = np.stack([scene.image(i) for i in chosen])
         return ChunkBatch(
             images=torch.from_numpy(images).permute(0, 3, 1, 2).contiguous(),
@@ -164,6 +164,7 @@ class ChunkSampler:
         return rng.choice(candidates, views, replace=False)
 
 
+@lru_cache(maxsize=256)
 def _open(directory: Path) -> tuple[Scene, GroundTruth]:
     scene = Scene(directory)
     return scene, GroundTruth(scene.groundtruth)

@@ -56,7 +56,7 @@ def depth_maps(capture: Capture, indices: range | list[int]) -> Iterator[Tensor]
 
 
 def fuse_capture(capture: Capture, settings: GroundTruthSettings) -> TSDF:
-    """The TSDF of all depth maps of a capture, on the smallest grid that holds them."""
+    """The TSDF of all depth maps of a capture, on a grid that holds all that is near a surface."""
     n = range(len(capture.frames))
     K = torch.from_numpy(capture.K).float()
     poses = torch.from_numpy(capture.world_T_cam).float()
@@ -64,7 +64,8 @@ def fuse_capture(capture: Capture, settings: GroundTruthSettings) -> TSDF:
     def depths() -> Iterator[Tensor]:
         return (torch.where(d > settings.far, 0.0, d) for d in depth_maps(capture, n))
 
-    lower, upper = bounds_of(depths(), K, poses, margin=settings.truncation + settings.voxel)
+    margin = max(settings.truncation, COARSE) + settings.voxel
+    lower, upper = bounds_of(depths(), K, poses, margin)
     grid = VoxelGrid.covering(lower.tolist(), upper.tolist(), settings.voxel)
     return fuse(depths(), K, poses, grid, settings.truncation, settings.far)
 

@@ -70,7 +70,6 @@ class PairStream(IterableDataset[PairBatch]):
             raise TFLabError("there is no scene to pre-train on; prepare the data first")
         self.scenes, self.settings = list(scenes), settings
         self.seed, self.first_step = seed, first_step
-        self.open = lru_cache(maxsize=256)(Scene)
 
     def __iter__(self) -> Iterator[PairBatch]:
         worker = get_worker_info()
@@ -88,7 +87,7 @@ class PairStream(IterableDataset[PairBatch]):
         """
         found: list[PairBatch] = []
         for _ in range(100 * self.settings.pairs):
-            pair = self.pair(self.open(self.scenes[rng.integers(len(self.scenes))]), rng)
+            pair = self.pair(_open(self.scenes[rng.integers(len(self.scenes))]), rng)
             if pair is not None:
                 found.append(pair)
             if len(found) == self.settings.pairs:
@@ -160,6 +159,11 @@ class PairStream(IterableDataset[PairBatch]):
         K = torch.from_numpy(scene.K[b]).float()
         uv, _ = project(transform(_pose(scene, a), wrong), K, _pose(scene, b, inverse=True))
         return uv.view(n[0], n[1], 2)
+
+
+@lru_cache(maxsize=256)
+def _open(directory: Path) -> Scene:
+    return Scene(directory)
 
 
 def _pose(scene: Scene, index: int, inverse: bool = False) -> Tensor:

@@ -18,7 +18,7 @@ from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import make_walk
 from tf_lab.data.scene import Frame
 
-VERSION: int = 3
+VERSION: int = 4
 """Changes whenever the output for the same seed does."""
 
 FIELD_OF_VIEW = np.radians(58.0)  # horizontal, about ScanNet's

@@ -11,8 +11,8 @@ from tf_lab.data.rooms.layout import Plan
 
 CELL = 0.05
 LOW = 0.6
-"""A camera may be held over the edge of pieces lower than this (m), which a body cannot pass."""
-REACH = 0.35
+"""A camera may come nearer, by `REACH`, to pieces lower than this (m): it is held above them."""
+REACH = 0.1
 
 
 @dataclass(frozen=True)

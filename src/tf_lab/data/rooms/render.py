@@ -150,7 +150,8 @@ def make_lighting(plan: Plan, rng: Rng) -> Lighting:
     """A lamp below the ceiling, a light at every window, warm or cold; exposed for the whole."""
     x0, y0, x1, y1 = plan.rects[0]
     xy = np.array([x0, y0]) + rng.uniform(0.35, 0.65, 2) * [x1 - x0, y1 - y0]
-    positions = [np.array([*xy, plan.height - rng.uniform(0.3, 0.55)])]
+    drop = min(rng.uniform(0.3, 0.55), plan.height - 2.2)  # well above the camera
+    positions = [np.array([*xy, plan.height - drop])]
     warm = 1 + rng.uniform(-0.05, 0.3) * np.array([1, 0.1, -1])
     colours = [rng.uniform(1.2, 2.6) * warm]
     day = rng.uniform(0.2, 1.6) * (1 + rng.uniform(-0.05, 0.2) * np.array([-1, 0, 1]))

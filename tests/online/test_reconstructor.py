@@ -1,0 +1,340 @@
+"""Online reconstruction against a voxel-by-voxel reference, and the independence it promises."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from torch import Tensor
+
+import box_room
+from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import VoxelGrid
+from tf_lab.online.reconstructor import (
+    ReconstructionSettings,
+    Reconstructor,
+    Volumes,
+    frustum_grid,
+)
+from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+
+Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module
+
+GRID = VoxelGrid.covering(box_room.ROOM[0], box_room.ROOM[1], 0.3)
+FRAMES = (2, 6, 9, 13, 16, 5)
+NEAR, FAR = 0.3, 5.0
+
+
+@pytest.fixture(scope="module")
+def scene(box_scene: Path) -> Scene:
+    return Scene(box_scene)
+
+
+def reconstruct(
+    network: Any,
+    scene: Scene,
+    frames: Sequence[int] = FRAMES,
+    policy: SelectionPolicy | None = None,
+    grid: VoxelGrid = GRID,
+    **settings: Any,
+) -> Reconstructor:
+    settings = {"resolution": 0.05, **settings}
+    policy = AttentionSelection() if policy is None else policy
+    found = Reconstructor(network, grid, ReconstructionSettings(**settings), policy)
+    for i in frames:
+        found.add_frame(scene.image(i), scene.K[i], scene.world_T_cam[i])
+    return found
+
+
+def balanced(network: Any, scene: Scene) -> Any:
+    """Shift the heads so that each says yes about half of the time; random ones may never."""
+    refinement = network.refinement
+    for head in (refinement.coarse_mask[-1], refinement.fine_mask[-1], network.occupancy.output):
+        said: list[Tensor] = []
+        handle = head.register_forward_hook(lambda _m, _i, out, said=said: said.append(out))
+        reconstruct(network, scene, resolution=0.1).mesh()
+        handle.remove()
+        with torch.no_grad():  # voxels without features all say the same: count them once
+            head.bias.sub_(torch.cat([out.flatten() for out in said]).unique().median().item())
+    return network
+
+
+def volumes_of(reconstructor: Reconstructor) -> Volumes:
+    volumes = reconstructor.volumes()
+    assert volumes is not None
+    return volumes
+
+
+def clearance(points: np.ndarray, scene: Scene, frame: int, far: float = FAR) -> np.ndarray:
+    """How clearly a frame sees points [P, 3]: positive if it does (metres or tenths of a pixel)."""
+    pose, K = scene.world_T_cam[frame], scene.K[frame]
+    camera = (points - pose[:3, 3]) @ pose[:3, :3]
+    z = camera[:, 2]
+    with np.errstate(divide="ignore"):
+        u, v = K[0, 0] * camera[:, 0] / z + K[0, 2], K[1, 1] * camera[:, 1] / z + K[1, 2]
+    pixels = np.minimum.reduce([u + 0.5, scene.size[0] - 0.5 - u, v + 0.5, scene.size[1] - 0.5 - v])
+    return np.minimum.reduce([np.where(z > 0, pixels, -1) / 10, z - NEAR, far - z])
+
+
+def clear_points(grid: VoxelGrid, scene: Scene, count: int) -> np.ndarray:
+    """Indices [n, 3] of random voxels that no frame sees by a rounding error only."""
+    every = np.argwhere(np.ones(grid.shape))
+    index = np.random.default_rng(0).permutation(every)[:count]
+    points = np.array(grid.origin) + (index + 0.5) * grid.voxel
+    margin = np.min([np.abs(clearance(points, scene, f)) for f in FRAMES], axis=0)
+    assert (margin > 1e-4).mean() > 0.9
+    return index[margin > 1e-4]
+
+
+def fuse_by_hand(
+    network: Any, level: str, r: Reconstructor, scene: Scene, point: np.ndarray, views: int
+) -> Tensor | None:
+    """Fused feature [D] of a point, frame by frame; None if no frame sees it."""
+    kept: list[tuple[Tensor, Tensor]] = []
+    for i, frame in enumerate(FRAMES):
+        if clearance(point[None], scene, frame)[0] < 0:
+            continue
+        maps, k, pose = r.maps[i][level][None], r.K[i][None], r.poses[i][None]
+        p = torch.from_numpy(point).float()[None]
+        token = network.embed(level, maps, p, k, pose, scene.size)[0][0, 0]
+        if len(kept) == views:
+            logits = torch.stack([logit for _, logit in kept])
+            weights = (logits.exp() / logits.exp().sum(0)).mean(1)
+            kept.pop(int(weights.argmin()))
+        kept.append((token, network.fusion[level].selection_logits(token[None])[0]))
+    if not kept:
+        return None
+    return network.fuse(level, torch.stack([token for token, _ in kept]), None)[0]
+
+
+@pytest.mark.parametrize("views", [3, 16])
+@torch.inference_mode()
+def test_lazy_fusion_equals_fusing_voxel_by_voxel(
+    tiny_network: Factory, scene: Scene, views: int
+) -> None:
+    """Without 3D convolutions a refined voxel is a linear function of its own fused features."""
+    network = balanced(tiny_network(refine=False), scene)
+    r = reconstruct(network, scene, views=views, batch=100)
+    volumes = volumes_of(r)
+    heads = network.refinement.coarse_mask, network.refinement.fine_mask
+    weight, bias = network.refinement.merge.weight[:, :, 0, 0, 0], network.refinement.merge.bias
+    assert bias is not None
+    width = network.config.width
+
+    def coarse_at(point: np.ndarray) -> tuple[Tensor, bool]:
+        psi = fuse_by_hand(network, "coarse", r, scene, point, views)
+        if psi is None:
+            return torch.zeros(width), False
+        return psi, heads[0](psi.view(1, -1, 1, 1, 1)).sigmoid().item() > 0.5
+
+    for i, j, k in clear_points(GRID, scene, 90):
+        point = np.array(GRID.origin) + (np.array([i, j, k]) + 0.5) * 0.3
+        psi, _ = coarse_at(point)
+        torch.testing.assert_close(volumes.coarse[:, i, j, k], psi, atol=1e-4, rtol=1e-4)
+
+    active = 0
+    fine_grid = GRID.refined(3)
+    offset = np.round((np.array(volumes.fine_grid.origin) - GRID.origin) / 0.1).astype(int)
+    for index in clear_points(fine_grid, scene, 200):
+        point = np.array(fine_grid.origin) + (index + 0.5) * 0.1
+        parent = np.array(GRID.origin) + (index // 3 + 0.5) * 0.3
+        if np.min([np.abs(clearance(parent[None], scene, f)) for f in FRAMES]) < 1e-4:
+            continue
+        coarse, near = coarse_at(parent)
+        fine = fuse_by_hand(network, "fine", r, scene, point, views)
+        x, y, z = index - offset
+        cropped = min(x, y, z) < 0 or any(np.array([x, y, z]) >= volumes.active.shape)
+        if not near or cropped:
+            assert not near  # only what isn't near is cropped away
+            assert cropped or not volumes.active[x, y, z]
+            continue
+        if fine is None:
+            assert not volumes.active[x, y, z]
+            continue
+        merged = weight @ torch.cat([coarse, fine]) + bias
+        torch.testing.assert_close(volumes.fine[:, x, y, z], merged, atol=1e-4, rtol=1e-4)
+        logit = heads[1](merged.view(1, -1, 1, 1, 1)).item()
+        if abs(logit) > 1e-3:
+            assert volumes.active[x, y, z] == (logit > 0)
+        active += 1
+    assert active > 30
+
+
+def test_with_enough_slots_a_voxel_keeps_exactly_the_frames_that_see_it(
+    tiny_network: Factory, scene: Scene
+) -> None:
+    points = GRID.centers().double().numpy().reshape(-1, 3)
+    margin = np.stack([clearance(points, scene, f, far=2.0) for f in FRAMES], 1)
+    for policy in (AttentionSelection(), RandomSelection()):
+        r = reconstruct(tiny_network(far=2.0), scene, policy=policy, views=len(FRAMES))
+        held = np.zeros(margin.shape, bool)
+        for voxel, frames in enumerate(r.coarse_store.frames.tolist()):
+            assert len({f for f in frames if f >= 0}) == sum(f >= 0 for f in frames)
+            held[voxel, [f for f in frames if f >= 0]] = True
+        clear = np.abs(margin) > 1e-4
+        assert clear.mean() > 0.99
+        assert (held == (margin > 0))[clear].all()
+        assert 0.1 < held.mean() < 0.9
+
+
+def facing_cameras(count: int) -> tuple[Tensor, Tensor]:
+    """K [V, 3, 3] and poses [V, 4, 4], all of which see the whole of a 2.1 m cube."""
+    K = torch.tensor([[9.0, 0, 15.5], [0, 9.0, 11.5], [0, 0, 1]]).expand(count, 3, 3)
+    poses = []
+    for i in range(count):
+        yaw = 2 * np.pi * i / count + 0.1
+        direction = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        poses.append(box_room.look(0.75 - 3.4 * direction, yaw, 0.0))
+    return K, torch.from_numpy(np.stack(poses)).float()
+
+
+@pytest.mark.parametrize("masks", [True, False])
+@pytest.mark.parametrize("refine", [True, False])
+@torch.inference_mode()
+def test_test_time_computes_what_training_computes(
+    tiny_network: Factory, refine: bool, masks: bool
+) -> None:
+    """Where every view sees every voxel, the two paths differ in nothing."""
+    network = tiny_network(refine=refine, filter=masks, far=8.0)
+    K, poses = facing_cameras(4)
+    generator = torch.Generator().manual_seed(0)
+    images = torch.randint(0, 256, (4, 24, 32, 3), generator=generator, dtype=torch.uint8)
+    coarse_grid = VoxelGrid((-0.3, -0.3, -0.3), 0.3, (7, 7, 7))
+    points = 0.35 + 0.8 * torch.rand(50, 3, generator=generator)  # clear of the chunk's border
+    fine_grid = VoxelGrid((0.0, 0.0, 0.0), 0.1, (15, 15, 15))
+    batch = (images.permute(0, 3, 1, 2)[None], K[None], poses[None])
+    head = network.refinement.coarse_mask[-1]
+    logits = network(*batch, coarse_grid, fine_grid, points[None], None).coarse
+    head.bias.sub_(logits.median())  # half of the voxels are near
+    trained = network(*batch, coarse_grid, fine_grid, points[None], None)
+    r = Reconstructor(network, coarse_grid, ReconstructionSettings(), AttentionSelection())
+    for image, k, pose in zip(images, K, poses, strict=True):
+        r.add_frame(image.numpy(), k.numpy(), pose.numpy())
+    v = volumes_of(r)
+    occupancy = network.decode(v.coarse, v.coarse_grid, v.fine, v.fine_grid, points)
+    torch.testing.assert_close(occupancy, trained.occupancy[0], atol=1e-4, rtol=1e-4)
+    assert bool(trained.fine_active.all()) is not masks
+
+
+def colors_of(mesh: trimesh.Trimesh) -> np.ndarray:
+    assert isinstance(mesh.visual, trimesh.visual.ColorVisuals)
+    return np.asarray(mesh.visual.vertex_colors, int)
+
+
+def assert_same_mesh(a: trimesh.Trimesh, b: trimesh.Trimesh) -> None:
+    assert len(a.faces) > 100
+    np.testing.assert_array_equal(a.faces, b.faces)
+    np.testing.assert_allclose(a.vertices, b.vertices, atol=1e-4)
+    np.testing.assert_allclose(colors_of(a), colors_of(b), atol=1)
+
+
+@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(3)])
+def test_neither_batches_nor_earlier_meshes_change_the_result(
+    tiny_network: Factory, scene: Scene, policy: SelectionPolicy
+) -> None:
+    network = balanced(tiny_network(), scene)
+    expected = reconstruct(network, scene, policy=policy, views=3).mesh()
+    small = reconstruct(network, scene, policy=policy, views=3, batch=97).mesh()
+    assert_same_mesh(expected, small)
+    eager = reconstruct(network, scene, FRAMES[:3], policy=policy, views=3)
+    for i in FRAMES[3:]:
+        eager.mesh()
+        eager.add_frame(scene.image(i), scene.K[i], scene.world_T_cam[i])
+    assert_same_mesh(expected, eager.mesh())
+    assert_same_mesh(expected, eager.mesh())  # and asking twice gives the same answer
+
+
+def test_with_enough_slots_the_order_of_frames_does_not_matter(
+    tiny_network: Factory, scene: Scene
+) -> None:
+    network = balanced(tiny_network(), scene)
+    a = volumes_of(reconstruct(network, scene))
+    b = volumes_of(reconstruct(network, scene, FRAMES[::-1]))
+    assert a.fine_grid == b.fine_grid
+    torch.testing.assert_close(a.coarse, b.coarse, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(a.fine, b.fine, atol=1e-4, rtol=1e-4)
+    assert (a.active != b.active).float().mean() < 1e-3
+
+
+def test_random_views_do_not_depend_on_the_extent_of_the_grid(
+    tiny_network: Factory, scene: Scene
+) -> None:
+    x, y, z = GRID.origin
+    nx, ny, nz = GRID.shape
+    larger = VoxelGrid((x - 0.6, y - 0.3, z), 0.3, (nx + 3, ny + 3, nz + 3))
+    held: list[Tensor] = []
+    for grid in (GRID, larger):
+        r = reconstruct(tiny_network(), scene, policy=RandomSelection(1), grid=grid, views=2)
+        held.append(r.coarse_store.frames.view(*grid.shape, 2))
+    assert torch.equal(held[1][2 : 2 + nx, 1 : 1 + ny, :nz], held[0])
+    r = reconstruct(tiny_network(), scene, policy=RandomSelection(2), views=2)
+    assert not torch.equal(r.coarse_store.frames.view(*GRID.shape, 2), held[0])
+
+
+@pytest.mark.parametrize("masks", [True, False])
+def test_the_mesh_stays_within_what_was_seen(
+    tiny_network: Factory, scene: Scene, masks: bool
+) -> None:
+    network = balanced(tiny_network(filter=masks), scene)
+    r = reconstruct(network, scene, resolution=0.1)
+    mesh, volumes = r.mesh(), volumes_of(r)
+    assert len(mesh.faces) > 100
+    centers = torch.tensor(mesh.triangles_center, dtype=torch.float32)
+    voxel = volumes.fine_grid.to_index(centers).round().long()
+    assert volumes.active[tuple(voxel.T)].float().mean() > 0.99
+    seen = np.max([clearance(mesh.vertices, scene, f) for f in FRAMES], axis=0)
+    assert (seen > -0.1 * 3**0.5).all()  # a voxel's diagonal; pixels count less
+    assert colors_of(mesh).shape == (len(mesh.vertices), 4)
+
+
+def test_nothing_to_reconstruct(tiny_network: Factory, scene: Scene) -> None:
+    empty = reconstruct(tiny_network(), scene, [])
+    assert len(empty.mesh().faces) == 0
+    far_away = VoxelGrid((30.0, 30.0, 30.0), 0.3, (2, 2, 2))
+    assert reconstruct(tiny_network(), scene, FRAMES[:2], grid=far_away).volumes() is None
+    strict = reconstruct(tiny_network(), scene, FRAMES[:2], threshold=1.0)
+    assert len(strict.mesh().faces) == 0
+
+
+def test_a_strategy_without_preference_gets_random_views(
+    tiny_network: Factory, scene: Scene
+) -> None:
+    network = balanced(tiny_network(fusion="avg"), scene)
+    r = reconstruct(network, scene, policy=AttentionSelection(), views=2)
+    assert isinstance(r.policy, RandomSelection)
+    assert r.coarse_store.seen.max() > 2
+    assert len(r.mesh().faces) > 0
+    for fusion in ("transformer", "pred"):
+        kept = reconstruct(tiny_network(fusion=fusion), scene, FRAMES[:1])
+        assert isinstance(kept.policy, AttentionSelection)
+
+
+def test_a_frame_of_another_size(tiny_network: Factory, scene: Scene) -> None:
+    r = reconstruct(tiny_network(), scene, FRAMES[:2])
+    with pytest.raises(TFLabError, match="64x48"):
+        r.add_frame(np.zeros((48, 64, 3), np.uint8), scene.K[0], scene.world_T_cam[0])
+    assert len(r.images) == len(r.maps) == 2  # and the reconstruction goes on
+    r.add_frame(scene.image(0), scene.K[0], scene.world_T_cam[0])
+
+
+@pytest.mark.parametrize("views", [0, -1])
+def test_a_voxel_needs_a_view(views: int) -> None:
+    with pytest.raises(TFLabError, match="views="):
+        ReconstructionSettings(views=views)
+
+
+def test_the_grid_holds_what_the_cameras_see(scene: Scene) -> None:
+    grid = frustum_grid(scene.K, scene.world_T_cam, scene.size, far=2.5)
+    lower = np.array(grid.origin)
+    upper = lower + grid.voxel * np.array(grid.shape)
+    points = np.random.default_rng(0).uniform(-6, 6, (20_000, 3))
+    seen = np.max([clearance(points, scene, f, far=2.5) for f in range(len(scene))], axis=0)
+    inside = np.all((points >= lower) & (points <= upper), axis=1)
+    assert inside[seen > 0.05].all()  # half a pixel: the pixels' centres count
+    assert (~inside).any()
+    np.testing.assert_allclose(lower / 0.3, np.round(lower / 0.3), atol=1e-9)
+    assert grid.voxel == 0.3
