@@ -15,11 +15,16 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.errors import CompactHydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from tf_lab import __version__
 from tf_lab.errors import TFLabError
+
+
+class FailedJob(CompactHydraException):
+    """A job of a sweep failed; Hydra ends the sweep with the message, and without a traceback."""
 
 
 def conf_dir() -> str:
@@ -43,11 +48,12 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             _quieten()
             try:
                 function(cfg)
-            except (TFLabError, OmegaConfBaseException) as error:
-                if os.environ.get("TF_LAB_DEBUG") == "1" or _in_sweep():
+            except (TFLabError, OmegaConfBaseException, OSError) as error:
+                if os.environ.get("TF_LAB_DEBUG") == "1":
                     raise
-                line = " ".join(str(error).split())
-                print(f"error: {line}", file=sys.stderr)
+                print(f"error: {_one_line(error, function)}", file=sys.stderr)
+                if _in_sweep():
+                    raise FailedJob("error: a job of the sweep failed, see above") from None
                 sys.exit(2)
             except KeyboardInterrupt:
                 print("\ninterrupted; the same command goes on from here", file=sys.stderr)
@@ -57,6 +63,18 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         return wrapped(guarded)
 
     return decorate
+
+
+def _one_line(error: Exception, function: Callable[[DictConfig], None]) -> str:
+    """What the user of a command needs to know of an error."""
+    text = str(error)
+    if isinstance(error, MissingMandatoryValue):
+        lines = (sys.modules[function.__module__].__doc__ or "").splitlines()
+        usage = next((line for line in lines if line.startswith("python -m")), "")
+        text = f"{error.full_key} is missing; usage: {usage}"
+    if "Original Traceback" in text:  # raised in a loader process
+        text = text.rpartition(f"{type(error).__name__}: ")[2]
+    return " ".join(text.split())
 
 
 def _quieten() -> None:

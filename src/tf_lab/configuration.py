@@ -24,17 +24,20 @@ def make_network(config: Config) -> Network:
     """The network, its encoder initialised as ``encoder.weights`` says."""
     model = {k: v for k, v in config["model"].items() if k != "name"}
     encoder = {k: v for k, v in config["encoder"].items() if k != "weights"}
-    network = Network(
-        NetworkConfig(
-            **model,
-            encoder=encoder,
-            fusion=config["fusion"]["strategy"],
-            depth=config["inputs"]["depth"],
-            ray=config["inputs"]["ray"],
-            refine=config["refine"],
-            filter=config["filter"],
+    try:
+        network = Network(
+            NetworkConfig(
+                **model,
+                encoder=encoder,
+                fusion=config["fusion"]["strategy"],
+                depth=config["inputs"]["depth"],
+                ray=config["inputs"]["ray"],
+                refine=config["refine"],
+                filter=config["filter"],
+            )
         )
-    )
+    except TypeError as error:
+        raise TFLabError(f"model, encoder: {error}; see the files in conf/model") from error
     shipped = shipped_encoder(config["model"]["name"])
     load_encoder_weights(network.encoder, config["encoder"]["weights"], shipped)
     return network
@@ -57,7 +60,10 @@ def optimizer_settings(config: Config) -> OptimizerSettings:
     """Adam and its schedule."""
     values = dict(config["optimizer"])
     values["betas"] = tuple(values["betas"])
-    return OptimizerSettings(**values)
+    try:
+        return OptimizerSettings(**values)
+    except TypeError as error:
+        raise TFLabError(f"optimizer: {error}; see the files in conf/model") from error
 
 
 def test_settings(config: Config) -> TestSettings:

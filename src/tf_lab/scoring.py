@@ -68,7 +68,9 @@ def reconstruct(
     keyframes = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
     K, poses = capture.K[keyframes], capture.world_T_cam[keyframes]
     grid = frustum_grid(K, poses, capture.size, network.config.far)
-    policy = make_policy(settings.select, settings.seed)
+    # averaging has no preference among views: its "attention" is a random choice, seeded
+    select = settings.select if network.config.fusion != "avg" else "random"
+    policy = make_policy(select, settings.seed)
     online = Reconstructor(network, grid, settings.reconstruction, policy)
     used, skipped = [], []
     for done, i in enumerate(keyframes, start=1):

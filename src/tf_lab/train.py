@@ -17,6 +17,7 @@ import yaml
 from filelock import FileLock
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, save_network
@@ -29,6 +30,7 @@ from tf_lab.configuration import (
     test_settings,
 )
 from tf_lab.data.datamodule import SceneDataModule
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, write_json
 from tf_lab.pictures import loss_curve
@@ -133,21 +135,24 @@ def _trainer(config: Config, directory: Path) -> L.Trainer:
         save_on_train_epoch_end=False,
     )
     validate = t["validate_every"]
-    return L.Trainer(
-        max_steps=steps,
-        val_check_interval=min(validate, steps) if validate else None,
-        limit_val_batches=1.0 if validate and config["data"]["val_size"] else 0,
-        check_val_every_n_epoch=None,
-        num_sanity_val_steps=0,
-        gradient_clip_val=config["optimizer"]["clip"] or None,
-        callbacks=[saving, TrainingProgress()],
-        logger=make_logger(config, directory),
-        log_every_n_steps=5,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        use_distributed_sampler=False,
-        **arguments,
-    )
+    try:
+        return L.Trainer(
+            max_steps=steps,
+            val_check_interval=min(validate, steps) if validate else None,
+            limit_val_batches=1.0 if validate and config["data"]["val_size"] else 0,
+            check_val_every_n_epoch=None,
+            num_sanity_val_steps=0,
+            gradient_clip_val=config["optimizer"]["clip"] or None,
+            callbacks=[saving, TrainingProgress()],
+            logger=make_logger(config, directory),
+            log_every_n_steps=5,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            use_distributed_sampler=False,
+            **arguments,
+        )
+    except (MisconfigurationException, TypeError, ValueError) as error:
+        raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error
 
 
 def make_logger(config: Config, directory: Path) -> Sequence[Logger]:

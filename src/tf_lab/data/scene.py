@@ -12,7 +12,8 @@ Layout of a scene directory::
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,13 +105,23 @@ class Scene:
         return len(self.frames)
 
     def image(self, index: int) -> np.ndarray:
-        """uint8 [H, W, 3] RGB."""
-        return read_image(self.directory / "color" / f"{self.frames[index]}.jpg")
+        """uint8 [H, W, 3] RGB. Raises TFLabError, naming file and cure, if it can't be read."""
+        with self._repairable():
+            return read_image(self.directory / "color" / f"{self.frames[index]}.jpg")
 
     def depth(self, index: int) -> np.ndarray | None:
         """float32 [H, W] camera z in metres, 0 where unknown; None without depth."""
         path = self.directory / "depth" / f"{self.frames[index]}.png"
-        return read_depth(path) if path.exists() else None
+        with self._repairable():
+            return read_depth(path) if path.exists() else None
+
+    @contextmanager
+    def _repairable(self) -> Iterator[None]:
+        """Adds the cure to an error of reading a file."""
+        try:
+            yield
+        except TFLabError as error:
+            raise TFLabError(f"{error}; delete {self.directory} and prepare it again") from error
 
     @property
     def groundtruth(self) -> Path:

@@ -24,6 +24,7 @@ from tf_lab.online.mesher import color_vertices, crossing_voxels, extract
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.view_store import ViewStore
 
+COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
 
 
@@ -146,8 +147,10 @@ class Reconstructor:
             active = crossing_voxels(decode, volumes.fine_grid, active)
         mesh = extract(decode, volumes.fine_grid, active, self.settings.resolution)
         if len(mesh.faces):
+            some = np.unique(np.linspace(0, len(self.images) - 1, COLOR_FRAMES).round().astype(int))
+            images = [self.images[i] for i in some]
             K, poses = torch.stack(self.K).cpu(), torch.stack(self.poses).cpu()
-            color_vertices(mesh, self.images, K, poses)
+            color_vertices(mesh, images, K[some], poses[some])
         return mesh
 
     @torch.inference_mode()

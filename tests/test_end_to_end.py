@@ -1,0 +1,86 @@
+"""Checks with known answers on the way from data to score: before any training, and of it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSampler, ChunkSettings
+from tf_lab.data.groundtruth import FINE, GroundTruth
+from tf_lab.data.rooms import RoomSettings
+from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
+from tf_lab.data.scene import Scene
+from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.geometry import VoxelGrid
+from tf_lab.network.losses import losses
+from tf_lab.network.network import Network
+from tf_lab.online.keyframes import select_keyframes
+from tf_lab.online.mesher import extract
+from tf_lab.scoring import median_views
+
+
+@pytest.fixture(scope="module")
+def test_room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The first room of the test split, as the default renders it."""
+    split = {"test": RoomSplit(1, RoomSettings(frames=260))}
+    return Scene(prepare_rooms(tmp_path_factory.mktemp("rooms"), split, workers=1)["test"][0])
+
+
+def test_true_occupancy_gives_the_true_mesh(test_room: Scene) -> None:
+    """With the truth in the network's place, what follows the network reaches F > 0.97."""
+    truth = GroundTruth(test_room.groundtruth)
+    upper = [
+        o + n * truth.grid.voxel for o, n in zip(truth.grid.origin, truth.grid.shape, strict=True)
+    ]
+    grid = VoxelGrid.covering(truth.grid.origin, upper, FINE, 3)
+    distance = truth.surface_distance(grid.centers().reshape(-1, 3)).view(grid.shape)
+
+    def decode(points: Tensor) -> Tensor:
+        return torch.nan_to_num(-truth.signed_distance(points), nan=0.1)  # unknown: solid
+
+    mesh = extract(decode, grid, distance < FINE, 0.02)
+    scores = evaluate_scene(mesh, test_room.groundtruth)
+    assert scores["fscore"] > 0.97
+    assert scores["chamfer"] < 2.0  # cm
+
+
+def test_the_median_point_is_seen_by_many_keyframes(test_room: Scene) -> None:
+    """K = 4, 8 and 16 and the choice of views can matter only if there is a choice."""
+    keyframes = select_keyframes(test_room.world_T_cam, 0.1)
+    assert median_views(test_room, keyframes, test_room.groundtruth) >= 25
+
+
+def test_one_chunk_overfits(box_scene: Path, tiny_network: Callable[..., Network]) -> None:
+    """Occupancy accuracy > 0.98 on the chunk that is trained on, from its images alone."""
+    torch.manual_seed(0)
+    network = tiny_network(width=24, hidden=48)
+    settings = ChunkSettings(chunks=1, views=(8,), coverage=0.2, augment=False)
+    sampler = ChunkSampler([box_scene], settings, near=0.1, far=5.0)
+    rng = np.random.default_rng(0)
+    batch = sampler.batch(rng)
+    while (batch.sdf < 0).float().mean() < 0.25:  # a chunk with something in it
+        batch = sampler.batch(rng)
+    adam = torch.optim.Adam(network.parameters(), 3e-3)
+    accuracy = 0.0
+    for step in range(400):
+        p = network(
+            batch.images,
+            batch.K,
+            batch.world_T_cam,
+            COARSE_GRID,
+            FINE_GRID,
+            batch.points,
+            batch.coarse_target,
+        )
+        terms = losses(p, batch.coarse_target, batch.fine_target, batch.sdf, True, 0.0)
+        adam.zero_grad()
+        terms["loss"].backward()
+        adam.step()
+        where = p.seen & ~torch.isnan(batch.sdf)
+        accuracy = float(((p.occupancy > 0) == (batch.sdf < 0))[where].float().mean())
+        if accuracy > 0.99 and step > 50:
+            break
+    assert accuracy > 0.98
