@@ -28,8 +28,8 @@ from hydra import compose, initialize_config_dir
 from tf_lab import configuration, pictures
 from tf_lab.commands import conf_dir, plain
 from tf_lab.data.scene import Scene
-from tf_lab.files import atomic_directory
 from tf_lab.evaluation import protocol
+from tf_lab.files import atomic_directory
 
 # A network and rooms so small that a training takes a second.
 TINY = (

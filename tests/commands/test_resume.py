@@ -1,0 +1,73 @@
+"""A training killed at any moment goes on, by the same command, to the same end."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from conftest import TINY, call, environment, tiny_config
+from tf_lab.study.runs import training_directory
+from tf_lab.train import train as train_network
+
+STEPS = ("optimizer.steps=40", "training.save_every=5")
+
+
+def kill_after_first_save(arguments: list[str], directory: Path) -> None:
+    """Start a training and send SIGKILL as soon as it has a checkpoint to resume from."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tf_lab.train", *arguments],
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        end = time.monotonic() + 120
+        while not (directory / "last.ckpt").exists():
+            assert process.poll() is None, "it ended before it saved"
+            assert time.monotonic() < end, "it never saved"
+            time.sleep(0.02)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+
+@pytest.mark.usefixtures("outputs")
+def test_a_killed_training_ends_with_the_weights_of_an_undisturbed_one(tmp_path: Path) -> None:
+    arguments = [*TINY, *STEPS, f"output={tmp_path / 'killed'}"]
+    config = tiny_config(*STEPS, f"output={tmp_path / 'killed'}")
+    directory = training_directory(config)
+    kill_after_first_save(arguments, directory)
+    assert not (directory / "model.safetensors").exists()
+    saved = torch.load(directory / "last.ckpt", weights_only=True)["global_step"]
+    assert 0 < saved < 40
+
+    result = call("train", *arguments)
+    assert result.status == 0, result.err
+    assert f"resuming {directory / 'last.ckpt'}" in result.out
+    assert result.path("training") == directory
+    assert not (directory / "last.ckpt").exists()
+
+    undisturbed = train_network(tiny_config(*STEPS, f"output={tmp_path / 'undisturbed'}"))
+    expected = load_file(undisturbed)
+    for name, value in load_file(directory / "model.safetensors").items():
+        torch.testing.assert_close(value, expected[name], rtol=0, atol=1e-6, msg=name)
+    # and the curve is drawn from the logs of both parts
+    assert len(list(directory.glob("logs/version_*/metrics.csv"))) == 2
+    assert (directory / "loss.png").exists()
+
+
+@pytest.mark.usefixtures("outputs")
+def test_a_damaged_checkpoint_to_resume_from_is_named(tmp_path: Path) -> None:
+    directory = training_directory(tiny_config(f"output={tmp_path}"))
+    directory.mkdir(parents=True)
+    (directory / "last.ckpt").write_bytes(b"\x80damaged")
+    result = call("train", *TINY, f"output={tmp_path}")
+    assert result.status == 2
+    (line,) = result.err.splitlines()
+    assert line.startswith(f"error: {directory / 'last.ckpt'}: ")
+    assert "delete it" in line

@@ -1,0 +1,244 @@
+"""`python -m tf_lab.train`: the main job, every ablation of the paper, sweeps, reuse, loggers."""
+
+import csv
+import json
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+import yaml
+from filelock import FileLock
+from PIL import Image
+from safetensors.torch import load_file
+
+import tf_lab
+from conftest import Result, call, tiny_config
+from tf_lab.checkpoint import load_network
+from tf_lab.train import train as train_network
+
+METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
+Train = Callable[..., Result]
+
+
+def check_run(run: Path) -> dict[str, Any]:
+    """That a run directory holds all of the contract; what its metrics.json says."""
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["protocol"] == "transformerfusion"
+    assert set(metrics["mean"]) == METRICS
+    assert list(metrics["scenes"]) == ["room_2000000"]
+    (scores,) = metrics["scenes"].values()
+    assert scores == metrics["mean"]  # of one scene
+    assert 0 <= scores["fscore"] <= 1
+    assert 0 <= scores["acc"] <= 100  # cm, capped at 1 m
+    assert scores["chamfer"] == pytest.approx((scores["acc"] + scores["compl"]) / 2)
+    mesh = trimesh.load(run / "meshes" / "room_2000000.ply", process=False)
+    assert (len(getattr(mesh, "faces", [])) > 0) == (scores["recall"] > 0)
+    with Image.open(run / "pictures" / "room_2000000.png") as picture:
+        assert np.asarray(picture.convert("L")).std() > 10  # not blank
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    assert "${" not in (run / "config.yaml").read_text()  # resolved
+    origin = json.loads((run / "run.json").read_text())
+    assert set(origin) >= {"commit", "command", "python", "packages", "machine", "checkpoint"}
+    assert origin["tf_lab"] == tf_lab.__version__
+    assert origin["packages"]["torch"].split("+")[0] == torch.__version__.split("+")[0]
+    assert origin["training"]["config"]["seed"] == config["seed"]
+    return metrics
+
+
+def test_the_main_job(main_job: Result, outputs: Path) -> None:
+    """By a process of its own, in a fresh directory, to the row in the paper's format."""
+    assert main_job.status == 0
+    assert main_job.err == ""
+    lines = main_job.out.splitlines()
+    heading = next(i for i, line in enumerate(lines) if line.startswith("Method "))
+    assert lines[heading].split() == [
+        "Method",
+        *["Acc", "Compl", "Chamfer", "Prec", "Recall", "F-score"],
+    ]
+    label, *row = lines[heading + 3].split()
+    run = outputs.parent / main_job.path("run")
+    metrics = check_run(run)
+    assert label == metrics["label"] == "Ours"
+    mean = metrics["mean"]
+    assert row == [
+        *(f"{mean[key]:.2f}" for key in ("acc", "compl", "chamfer")),
+        *(f"{mean[key]:.3f}" for key in ("prec", "recall", "fscore")),
+    ]
+    assert "the median surface point of a test scene is seen by" in main_job.out
+    assert main_job.path("pictures") == main_job.path("run") / "pictures"
+
+
+def test_what_a_training_leaves(main_job: Result, outputs: Path, checkpoint: Path) -> None:
+    training = checkpoint.parent
+    assert training == outputs.parent / main_job.path("training")
+    with Image.open(training / "loss.png") as picture:
+        assert picture.size > (100, 100)
+    assert yaml.safe_load((training / "config.yaml").read_text())["optimizer"]["steps"] == 5
+    assert not (training / "last.ckpt").exists()  # not needed any more
+    network, info = load_network(checkpoint)
+    assert network.config.width == 8
+    assert info["training"]["command"].startswith("python -m tf_lab.train data.size=1 ")
+    assert info["training"]["seconds"] > 0
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        *("fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
+        *("refine=false", "filter=false", "views=4 select=rnd"),
+    ],
+)
+def test_every_ablation_runs(train: Train, overrides: str) -> None:
+    result = train(*overrides.split())
+    assert (result.status, result.err) == (0, "")
+    metrics = check_run(result.path("run"))
+    assert metrics["label"].startswith("Ours: ")
+    assert f"\n{metrics['label']} " in result.out
+    assert (result.path("training") / "loss.png").exists()
+    network, _ = load_network(result.path("training") / "model.safetensors")
+    changed = {
+        "fusion=avg": network.config.fusion == "avg",
+        "fusion=pred": network.config.fusion == "pred",
+        "inputs=no_depth": not network.config.depth,
+        "inputs=no_ray": not network.config.ray,
+        "refine=false": not network.config.refine,
+        "filter=false": not network.config.filter,
+        "views=4 select=rnd": "reusing the identical finished training" in result.out,
+    }
+    assert changed[overrides]
+    assert sum(changed.values()) == 1
+
+
+def test_a_sweep_of_six_trains_once(train: Train, tmp_path: Path) -> None:
+    result = train("-m", "views=4,8,16", "select=rnd,attn", f"output={tmp_path}")
+    assert (result.status, result.err) == (0, "")
+    runs = [path.parent for path in tmp_path.glob("runs/*/metrics.json")]
+    labels = {check_run(run)["label"] for run in runs}
+    assert len(runs) == len(labels) == 6
+    assert len(list(tmp_path.glob("trainings/*"))) == 1
+    assert result.out.count("reusing the identical finished training") == 5
+    assert len({json.loads((run / "run.json").read_text())["checkpoint"] for run in runs}) == 1
+
+
+def test_a_failing_job_does_not_end_the_others(train: Train) -> None:
+    result = train("-m", "views=0,4", "select=rnd")
+    assert result.status != 0
+    assert "error: views=0: a voxel needs at least one view" in result.err
+    assert "Traceback" not in result.err + result.out
+    assert "\nOurs: 4 images, RND " in result.out
+
+
+def test_a_second_start_reuses_all(train: Train) -> None:
+    first = train()
+    metrics = first.path("run") / "metrics.json"
+    before = metrics.stat().st_mtime_ns
+    second = train()
+    assert "reusing the identical finished training" in second.out
+    assert "reusing the identical finished evaluation" in second.out
+    assert metrics.stat().st_mtime_ns == before
+    assert second.path("run") == first.path("run")
+    row = next(line for line in first.out.splitlines() if line.startswith("Ours "))
+    assert row in second.out
+
+
+def test_seeds_differ_and_the_same_seed_does_not(
+    train: Train, checkpoint: Path, tmp_path: Path
+) -> None:
+    again = train(f"output={tmp_path}").path("training") / "model.safetensors"
+    other = train("seed=1").path("training") / "model.safetensors"
+    first, second, third = (load_file(path) for path in (checkpoint, again, other))
+    assert first.keys() == second.keys() == third.keys()
+    for name, value in first.items():
+        # made by another process: the config alone determines the weights
+        torch.testing.assert_close(second[name], value, rtol=0, atol=1e-6, msg=name)
+    assert any(not torch.allclose(third[name], value, atol=1e-3) for name, value in first.items())
+
+
+def test_a_training_waits_for_another_of_the_same_key(checkpoint: Path, tmp_path: Path) -> None:
+    """Then it takes that one's result."""
+    config = tiny_config(f"output={tmp_path}")
+    directory = tmp_path / "trainings" / checkpoint.parent.name
+    directory.mkdir(parents=True)
+    found: list[Path] = []
+    waiting = threading.Thread(target=lambda: found.append(train_network(config)))
+    with FileLock(directory / ".lock"):
+        waiting.start()
+        waiting.join(0.5)
+        assert waiting.is_alive()
+        (directory / "model.safetensors").write_bytes(checkpoint.read_bytes())
+    waiting.join(30)
+    assert found == [directory / "model.safetensors"]
+    assert found[0].read_bytes() == checkpoint.read_bytes()
+
+
+def logged(training: Path) -> dict[str, list[float]]:
+    """The numbers of the CSV log by name."""
+    values: dict[str, list[float]] = {}
+    for path in training.glob("logs/version_*/metrics.csv"):
+        with path.open() as file:
+            for row in csv.DictReader(file):
+                for name, text in row.items():
+                    if text:
+                        values.setdefault(name, []).append(float(text))
+    return values
+
+
+def test_losses_and_scores_of_whole_val_rooms_are_logged(train: Train, tmp_path: Path) -> None:
+    result = train(
+        *("optimizer.steps=10", "training.validate_every=5", "logger=tensorboard"),
+        f"output={tmp_path}",
+    )
+    assert (result.status, result.err) == (0, "")
+    values = logged(result.path("training"))
+    assert values.keys() >= {f"train/{x}" for x in ("loss", "coarse", "fine", "occupancy")}
+    assert len(values["train/loss"]) == 2  # every fifth step
+    assert all(math.isfinite(value) for value in values["train/loss"])
+    assert len(values["val/fscore"]) == 2
+    assert list((result.path("training") / "tensorboard").rglob("events.out.tfevents.*"))
+    assert "val F" in result.out
+
+
+def test_without_a_val_room(train: Train, tmp_path: Path) -> None:
+    result = train("data.val_size=0", "training.validate_every=5", f"output={tmp_path}")
+    assert (result.status, result.err) == (0, "")
+    assert "val/fscore" not in logged(result.path("training"))
+
+
+@pytest.mark.slow
+def test_wandb_offline(train: Train, tmp_path: Path) -> None:
+    result = train("logger=wandb_offline", f"output={tmp_path}")
+    assert result.status == 0
+    assert list((result.path("training") / "wandb").glob("offline-run-*/*.wandb"))
+
+
+def test_bf16_and_a_worker_process(train: Train, tmp_path: Path) -> None:
+    result = train("trainer.precision=bf16-mixed", "trainer.workers=1", f"output={tmp_path}")
+    assert (result.status, result.err) == (0, "")
+    check_run(result.path("run"))
+
+
+def test_debugging_shows_the_traceback(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet = train("views=0")
+    monkeypatch.setenv("TF_LAB_DEBUG", "1")
+    loud = train("views=0")
+    assert quiet.status != 0
+    assert loud.status != 0
+    assert "Traceback" not in quiet.err
+    assert "Traceback (most recent call last)" in loud.err
+    assert "TFLabError: views=0" in loud.err
+
+
+def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outputs: Path) -> None:
+    def interrupt(config: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tf_lab.train.train", interrupt)
+    result = call("train", f"output={outputs}")
+    assert result.status == 130
+    assert result.err.strip() == "interrupted; the same command goes on from here"
