@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
+from tiny_jobs import TINY, call, environment, tiny_config
 
-from conftest import TINY, call, environment, tiny_config
 from tf_lab.study.runs import training_directory
 from tf_lab.train import train as train_network
 

@@ -16,9 +16,9 @@ import yaml
 from filelock import FileLock
 from PIL import Image
 from safetensors.torch import load_file
+from tiny_jobs import Result, call, tiny_config
 
 import tf_lab
-from conftest import Result, call, tiny_config
 from tf_lab.checkpoint import load_network
 from tf_lab.train import train as train_network
 

@@ -1,0 +1,142 @@
+"""`python -m tf_lab.reconstruct`: posed images to a mesh and a picture."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from tiny_jobs import TINY, Result, call, start
+
+# all cells are decoded, so that a hardly trained network gives some surface
+SETTINGS = ("resolution=0.05", "threshold=0", "device=cpu")
+ROOM = tuple(option for option in TINY if option.startswith("data."))
+
+
+@pytest.fixture
+def mine(posed_images: Path, tmp_path: Path) -> Path:
+    """A copy of the capture, to damage."""
+    return Path(shutil.copytree(posed_images, tmp_path / "mine"))
+
+
+@pytest.fixture(scope="session")
+def reconstruct(checkpoint: Path) -> Callable[..., Result]:
+    """Runs the command with the main job's checkpoint."""
+
+    def run(*arguments: str) -> Result:
+        return call("reconstruct", f"checkpoint={checkpoint}", *SETTINGS, *arguments)
+
+    return run
+
+
+def load(path: Path) -> trimesh.Trimesh:
+    mesh = trimesh.load(path, process=False)
+    assert isinstance(mesh, trimesh.Trimesh)
+    return mesh
+
+
+def test_by_a_process(posed_images: Path, checkpoint: Path, tmp_path: Path) -> None:
+    """Mesh and picture are written to the default place under the directory it is started in."""
+    result = start(
+        "reconstruct", f"input={posed_images}", f"checkpoint={checkpoint}", *SETTINGS, cwd=tmp_path
+    )
+    assert (result.status, result.err) == (0, "")
+    mesh = load(tmp_path / "outputs" / "reconstructions" / "capture.ply")
+    assert len(mesh.faces) > 100
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.visual.kind == "vertex"
+    assert np.ptp(mesh.visual.vertex_colors[:, :3], axis=0).min() > 20
+    with Image.open(tmp_path / "outputs" / "reconstructions" / "capture.png") as picture:
+        assert np.asarray(picture.convert("L")).std() > 10
+    assert "keyframes of 24 frames" in result.out
+    assert ", 0 frames skipped" in result.out
+    assert f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces" in result.out
+    assert "F-score" not in result.out  # there is no depth to compare with
+
+
+def test_a_bad_frame_is_skipped_and_counted(reconstruct: Callable[..., Result], mine: Path) -> None:
+    """A truncated keyframe (the first frame always is one), and a lost one."""
+    image = mine / "images" / "000000.jpg"
+    image.write_bytes(image.read_bytes()[:300])
+    lines = (mine / "poses.txt").read_text().splitlines()
+    lines[5] = " ".join(["nan"] * 16)
+    (mine / "poses.txt").write_text("\n".join(lines) + "\n")
+    result = reconstruct("input=mine", "output=a/b.ply")
+    assert result.status == 0, result.err
+    assert "keyframes of 23 frames" in result.out
+    assert ", 2 frames skipped" in result.out
+    skipped = [line for line in result.out.splitlines() if line.startswith("  skipped ")]
+    assert skipped[0].startswith("  skipped 000005: the pose has NaN")
+    assert skipped[1].startswith(f"  skipped 000000: {Path('mine/images/000000.jpg')}")
+    assert len(load(Path("a/b.ply")).faces) > 0
+    assert Path("a/b.png").exists()
+
+
+def test_without_an_input_a_test_room_is_scored(reconstruct: Callable[..., Result]) -> None:
+    result = reconstruct(*ROOM)
+    assert (result.status, result.err) == (0, "")
+    row = next(x for x in result.out.splitlines() if x.startswith("room_2000000  ")).split()
+    assert len(row) == 7
+    assert 0 <= float(row[-1]) <= 1
+    assert Path("outputs/reconstructions/room_2000000.ply").exists()
+
+
+def test_a_capture_with_depth_is_scored_too(
+    reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]], mine: Path
+) -> None:
+    """Against the mesh fused from its depth: the same that the rooms' ground truth is made of."""
+    shutil.copytree(rooms("test")[0] / "depth", mine / "depth")
+    result = reconstruct("input=mine")
+    room = reconstruct(*ROOM)
+    assert result.status == 0
+    scores = [
+        next(x for x in r.out.splitlines() if x.startswith(f"{name}  ")).split()[1:]
+        for r, name in ((result, "mine"), (room, "room_2000000"))
+    ]
+    assert scores[0] == scores[1]
+
+
+def test_a_prepared_scene_is_an_input(
+    reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]]
+) -> None:
+    result = reconstruct(f"input={rooms('test')[0]}")
+    assert (result.status, result.err) == (0, "")
+    assert "F-score" in result.out
+
+
+def test_images_of_another_size_are_brought_to_the_networks(
+    reconstruct: Callable[..., Result], mine: Path
+) -> None:
+    """Twice as large with K to match: nearly the same mesh as of the original images."""
+    reconstruct("input=mine", "output=small.ply")
+    for path in (mine / "images").iterdir():
+        with Image.open(path) as image:
+            image.resize((160, 120), Image.Resampling.NEAREST).save(path, quality=100)
+    K = np.loadtxt(mine / "K.txt")
+    K[:2] *= 2
+    K[:2, 2] += 0.5  # pixel centres at integers
+    np.savetxt(mine / "K.txt", K)
+    result = reconstruct("input=mine", "output=large.ply")
+    assert result.status == 0, result.err
+    small, large = load(Path("small.ply")), load(Path("large.ply"))
+    np.testing.assert_allclose(large.bounds, small.bounds, atol=0.15)
+    assert len(large.faces) == pytest.approx(len(small.faces), rel=0.2)
+
+
+def test_the_sources_world(reconstruct: Callable[..., Result], mine: Path) -> None:
+    """A capture whose y axis points down: the mesh stands up, or lies as its source does."""
+    upright = reconstruct("input=mine", "output=before.ply")
+    assert upright.status == 0
+    turn = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # z to -y
+    poses = np.loadtxt(mine / "poses.txt").reshape(-1, 4, 4)
+    np.savetxt(mine / "poses.txt", (turn @ poses).reshape(-1, 16))
+    (mine / "gravity-direction.txt").write_text("0 1 0\n")
+    assert reconstruct("input=mine", "output=up.ply").status == 0
+    assert reconstruct("input=mine", "output=source.ply", "source_frame=true").status == 0
+    before, up, source = (load(Path(f"{name}.ply")) for name in ("before", "up", "source"))
+    np.testing.assert_allclose(up.bounds, before.bounds, atol=0.05)
+    back = np.asarray(source.vertices) @ turn[:3, :3]
+    np.testing.assert_allclose(back, up.vertices, atol=1e-5)
+    np.testing.assert_array_equal(source.faces, up.faces)
