@@ -5,9 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-import trimesh
 from tiny_jobs import Result, call, start
 
 from tf_lab.evaluation.protocol import read_mesh
@@ -59,7 +57,8 @@ def test_a_moved_prediction_scores_as_it_should(published: Path) -> None:
     """Five metres away every point is at the cap of one metre."""
     path = published / "predictions" / "scene0001_00.ply"
     mesh = read_mesh(published / "predictions" / "scene0000_00.ply")
-    trimesh.Trimesh(np.asarray(mesh.vertices) + (5, 0, 0), mesh.faces).export(path)
+    mesh.apply_translation([5, 0, 0])
+    mesh.export(path)
     result = call("evaluate", "predictions=predictions", "groundtruth=groundtruth", "output=m.json")
     scores = json.loads(Path("m.json").read_text())["scenes"]["scene0001_00"]
     assert result.status == 0

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,8 +47,9 @@ def test_by_a_process(posed_images: Path, checkpoint: Path, tmp_path: Path) -> N
     mesh = load(tmp_path / "outputs" / "reconstructions" / "capture.ply")
     assert len(mesh.faces) > 100
     assert np.isfinite(mesh.vertices).all()
-    assert mesh.visual.kind == "vertex"
-    assert np.ptp(mesh.visual.vertex_colors[:, :3], axis=0).min() > 20
+    visual: Any = mesh.visual
+    assert visual.kind == "vertex"
+    assert np.ptp(visual.vertex_colors[:, :3], axis=0).min() > 20
     with Image.open(tmp_path / "outputs" / "reconstructions" / "capture.png") as picture:
         assert np.asarray(picture.convert("L")).std() > 10
     assert "keyframes of 24 frames" in result.out

@@ -99,7 +99,7 @@ class Network(nn.Module):
 
     def encode(self, images: Tensor) -> dict[str, Tensor]:
         """Images of 0..255 [N, 3, H, W] to feature maps {"coarse", "fine"} [N, C, h, w]."""
-        x = normalise_images(images).contiguous(memory_format=torch.channels_last)
+        x = normalise_images(images)
         coarse, fine = self.encoder(x)
         return {"coarse": coarse, "fine": fine}
 

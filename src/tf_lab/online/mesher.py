@@ -32,11 +32,7 @@ def extract(
         resolution: edge of the marching-cubes cells, metres; must divide the voxel.
         batch: points decoded at a time.
     """
-    n = round(grid.voxel / resolution) if resolution > 0 else 0
-    if n < 1 or abs(n * resolution - grid.voxel) > 1e-6:
-        raise TFLabError(
-            f"resolution={resolution}: the fine voxel of {grid.voxel} m must be a multiple of it"
-        )
+    n = cells_per_voxel(grid.voxel, resolution)
     fine = grid.refined(n)
     mask = active
     for axis in range(3):
@@ -51,6 +47,20 @@ def extract(
         ijk = (part[:, None] // step) % shape
         values[part] = decode(origin + (ijk + 0.5) * fine.voxel).float().cpu()
     return mesh_of(values.view(mask.shape), mask.cpu(), fine)
+
+
+def cells_per_voxel(voxel: float, resolution: float) -> int:
+    """How many marching-cubes cells of edge ``resolution`` lie along a voxel's edge (metres).
+
+    Raises:
+        TFLabError: not a whole number.
+    """
+    n = round(voxel / resolution) if resolution > 0 else 0
+    if n < 1 or abs(n * resolution - voxel) > 1e-6:
+        raise TFLabError(
+            f"resolution={resolution}: the fine voxel of {voxel} m must be a multiple of it"
+        )
+    return n
 
 
 def crossing_voxels(decode: Decode, grid: VoxelGrid, active: Tensor) -> Tensor:

@@ -16,11 +16,11 @@ import torch
 import trimesh
 from torch import Tensor
 
-from tf_lab.data.groundtruth import COARSE
+from tf_lab.data.groundtruth import COARSE, FINE
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, pixel_directions, transform
 from tf_lab.network.network import Network
-from tf_lab.online.mesher import color_vertices, crossing_voxels, extract
+from tf_lab.online.mesher import cells_per_voxel, color_vertices, crossing_voxels, extract
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.view_store import ViewStore
 
@@ -47,6 +47,7 @@ class ReconstructionSettings:
     def __post_init__(self) -> None:
         if self.views < 1:
             raise TFLabError(f"views={self.views}: a voxel needs at least one view")
+        cells_per_voxel(FINE, self.resolution)  # told now, not after the training
 
 
 @dataclass

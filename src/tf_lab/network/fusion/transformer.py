@@ -25,19 +25,6 @@ class Block(nn.Module):
             nn.LayerNorm(width), nn.Linear(width, hidden), nn.ReLU(), nn.Linear(hidden, width)
         )
 
-    @torch.no_grad()
-    def compare_like_with_like(self) -> None:
-        """Initialise the attention as trained vision transformers have it.
-
-        Queries meet the keys that resemble them, and what is read is subtracted from what is there
-        (mimetic initialisation, Trockman & Kolter 2023): so a view starts out knowing how it
-        differs from those that agree with it, which is what tells surface from free space.
-        """
-        identity = torch.eye(self.query.weight.shape[0])
-        for layer, scale in ((self.query, 1.0), (self.key, 1.0), (self.value, 0.5)):
-            layer.weight.mul_(0.2).add_(scale * identity)
-        self.project.weight.mul_(0.2).sub_(0.5 * identity)
-
     def split(self, x: Tensor) -> Tensor:
         """[..., T, D] -> [..., H, T, D / H]."""
         return x.unflatten(-1, (self.heads, -1)).transpose(-2, -3)
@@ -87,10 +74,6 @@ class TransformerFusion(nn.Module):
         self.token = nn.Parameter(torch.randn(width) * 0.02)
         self.blocks = nn.ModuleList(Block(width, heads, expansion) for _ in range(blocks))
         self.norm = nn.LayerNorm(width)
-        import os
-
-        if not os.environ.get("PLAIN"):
-            self.blocks[0].compare_like_with_like()  # type: ignore[operator]
 
     def selection_logits(self, tokens: Tensor) -> Tensor:
         """First-block logits [..., K, H] of views [..., K, D]."""

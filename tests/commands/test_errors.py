@@ -1,0 +1,312 @@
+"""Bad input: one line that names the file and the cure, exit status 2, no traceback."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from tiny_jobs import TINY, Result, call, start
+
+Train = Callable[..., Result]
+
+
+def told(result: Result, *expected: str) -> None:
+    """That the command failed with one line that says all of this."""
+    lines = result.err.splitlines()
+    assert len(lines) == 1, result.err
+    assert lines[0].startswith("error: ")
+    for text in expected:
+        assert text in lines[0], lines[0]
+    assert "Traceback" not in result.out
+    assert result.status == 2
+
+
+# --- a user's own capture ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mine(posed_images: Path, tmp_path: Path) -> Path:
+    """A copy of the capture, to damage."""
+    return Path(shutil.copytree(posed_images, tmp_path / "mine"))
+
+
+def missing(mine: Path) -> None:
+    shutil.rmtree(mine)
+
+
+def empty(mine: Path) -> None:
+    shutil.rmtree(mine)
+    mine.mkdir()
+
+
+def edit_poses(mine: Path, edit: Callable[[list[str]], list[str]]) -> None:
+    path = mine / "poses.txt"
+    path.write_text("\n".join(edit(path.read_text().splitlines())) + "\n")
+
+
+def short_pose(mine: Path) -> None:
+    edit_poses(mine, lambda lines: [*lines[:3], "1 0 0 0 1", *lines[4:]])
+
+
+def one_pose_less(mine: Path) -> None:
+    edit_poses(mine, lambda lines: lines[1:])
+
+
+def lost_poses(mine: Path) -> None:
+    edit_poses(mine, lambda lines: [" ".join(["nan"] * 16)] * len(lines))
+
+
+def no_intrinsics(mine: Path) -> None:
+    (mine / "K.txt").unlink()
+
+
+def other_file(mine: Path) -> None:
+    empty(mine)
+    (mine / "video.mp4").write_bytes(b"0")
+
+
+def truncated_images(mine: Path) -> None:
+    for path in (mine / "images").iterdir():
+        path.write_bytes(path.read_bytes()[:400])
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (missing, ("mine: no such folder", "give the folder")),
+        (empty, ("mine: empty", "looked for", "images/, poses.txt, K.txt")),
+        (other_file, ("mine: of no known layout", "images/, poses.txt, K.txt")),
+        (short_pose, ("poses.txt, line 4: 5 values", "write one pose a line")),
+        (
+            one_pose_less,
+            ("poses.txt has 23 lines, images/ has 24", "write one pose an image"),
+        ),
+        (lost_poses, ("mine: no usable frame", "NaN", "every frame needs")),
+        (no_intrinsics, ("K.txt: missing", "3x3 intrinsics")),
+        (truncated_images, ("mine: none of the", "keyframes can be read")),
+    ],
+)
+def test_a_bad_capture(
+    checkpoint: Path, mine: Path, damage: Callable[[Path], None], expected: tuple[str, ...]
+) -> None:
+    damage(mine)
+    told(call("reconstruct", "input=mine", f"checkpoint={checkpoint}", "device=cpu"), *expected)
+    assert not Path("outputs").exists()
+
+
+def test_a_bad_capture_by_a_process(tmp_path: Path, checkpoint: Path) -> None:
+    told(
+        start("reconstruct", "input=nowhere", f"checkpoint={checkpoint}", cwd=tmp_path),
+        "nowhere: no such folder",
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("output=mesh.obj",), ("output=mesh.obj", ".ply")),
+        (("format=colmap",), ("format=colmap", "known are")),
+        (("views=0",), ("views=0", "at least one view")),
+        (("resolution=0.03",), ("resolution=0.03", "must be a multiple")),
+        (("select.policy=best",), ("select.policy=best", "choose attention or random")),
+        (("gravity=[0,0,0]",), ("gravity",)),
+        pytest.param(
+            ("device=cuda",),
+            ("device=cuda", "use device=cpu"),
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="here it works"),
+        ),
+    ],
+)
+def test_a_bad_setting_of_reconstruct(
+    checkpoint: Path, mine: Path, arguments: tuple[str, ...], expected: tuple[str, ...]
+) -> None:
+    if arguments[0].startswith("gravity"):
+        (mine / "gravity-direction.txt").unlink()
+    told(call("reconstruct", "input=mine", f"checkpoint={checkpoint}", *arguments), *expected)
+
+
+# --- checkpoints ---------------------------------------------------------------------------------
+
+
+def absent(path: Path) -> None:
+    path.unlink()
+
+
+def random_bytes(path: Path) -> None:
+    path.write_bytes(bytes(range(256)) * 16)
+
+
+def lightning_checkpoint(path: Path) -> None:
+    torch.save({"state_dict": {}, "global_step": 5}, path)
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def rewrite(path: Path, old: str, new: str, drop: str | None = None) -> None:
+    with safe_open(path, framework="pt") as file:
+        metadata = {k: v.replace(old, new) for k, v in file.metadata().items()}
+        state = {k: file.get_tensor(k) for k in file.keys() if k != drop}  # noqa: SIM118
+    save_file(state, path, metadata)
+
+
+def of_another_version(path: Path) -> None:
+    rewrite(path, '"refine_blocks"', '"refinement"')
+
+
+def of_another_config(path: Path) -> None:
+    rewrite(path, '"hidden": 16', '"hidden": 32')
+
+
+def with_a_tensor_missing(path: Path) -> None:
+    with safe_open(path, framework="pt") as file:
+        first = min(file.keys())
+    rewrite(path, "", "", drop=first)
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (absent, ("no such checkpoint", "train one")),
+        (random_bytes, ("not a checkpoint of tf_lab", "expected model.safetensors")),
+        (lightning_checkpoint, ("not a checkpoint of tf_lab", "expected model.safetensors")),
+        (truncated, ("not a checkpoint of tf_lab", "expected model.safetensors")),
+        (of_another_version, ("another version", "refinement", "train it again")),
+        (of_another_config, ("another network", "size mismatch", "train it again")),
+        (with_a_tensor_missing, ("another network", "Missing key", "train it again")),
+    ],
+)
+def test_a_bad_checkpoint(
+    checkpoint: Path,
+    posed_images: Path,
+    damage: Callable[[Path], None],
+    expected: tuple[str, ...],
+) -> None:
+    shutil.copy(checkpoint, "mine.ckpt")
+    damage(Path("mine.ckpt"))
+    result = call("reconstruct", f"input={posed_images}", "checkpoint=mine.ckpt")
+    told(result, "mine.ckpt: ", *expected)
+
+
+# --- the cache of rooms --------------------------------------------------------------------------
+
+
+def garbage_scene(room: Path) -> Path:
+    (room / "scene.json").write_text('{"format": 1, "na')
+    return room
+
+
+def truncated_distances(room: Path) -> Path:
+    path = room / "groundtruth" / "sdf.npy"
+    path.write_bytes(path.read_bytes()[:-1000])
+    return room / "groundtruth"
+
+
+def truncated_jpegs(room: Path) -> Path:
+    for path in (room / "color").iterdir():
+        path.write_bytes(path.read_bytes()[:300])
+    return room / "color"
+
+
+def truncated_mesh(room: Path) -> Path:
+    path = room / "groundtruth" / "mesh_gt.ply"
+    path.write_bytes(path.read_bytes()[:-1000])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("damage", "split", "workers"),
+    [
+        (garbage_scene, "train", 0),
+        (truncated_distances, "train", 0),
+        (truncated_jpegs, "train", 0),
+        (truncated_jpegs, "train", 1),
+        (garbage_scene, "test", 0),
+        (truncated_mesh, "test", 0),
+    ],
+)
+def test_a_corrupt_room_in_the_cache(
+    outputs: Path,
+    cache: Path,
+    tmp_path: Path,
+    damage: Callable[[Path], Path],
+    split: str,
+    workers: int,
+) -> None:
+    root = Path(shutil.copytree(cache, tmp_path / "cache"))
+    (room,) = root.glob(f"rooms-*/{split}/*")
+    named = damage(room)
+    # a test room is met by an evaluation only: with the training that is there, and K of its own
+    output = "outputs" if split == "train" else str(outputs)
+    result = call(
+        *("train", *TINY, f"data.root={root}", f"trainer.workers={workers}"),
+        *(f"output={output}", f"views={7 if damage is garbage_scene else 9}"),
+    )
+    told(result, str(named), "again")
+
+
+def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    told(train("output=file"), "file")
+
+
+# --- settings ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("views=0", ("views=0", "at least one view")),
+        ("resolution=0.03", ("resolution=0.03", "must be a multiple")),
+        ("optimizer.schedule=linear", ("optimizer.schedule=linear", "inverse_sqrt or cosine")),
+        ("encoder.weights=none.pt", ("none.pt: no such weights file",)),
+        ("encoder.weights=rooms", ("encoder.weights=rooms", "encoder.weights=none")),
+        ("model.heads=3", ("model.width=8", "multiple of heads=3")),
+        ("+model.depths=3", ("model", "depths", "conf/model")),
+        ("+optimizer.momentum=3", ("optimizer", "momentum", "conf/model")),
+        ("+trainer.gpus=3", ("trainer", "gpus", "conf/trainer")),
+        ("trainer.accelerator=abacus", ("trainer", "abacus", "conf/trainer")),
+        ("training.views=[99]", ("no chunk with 99 views", "fewer views")),
+        ("data.name=scannet", ("data.name=scannet",)),
+    ],
+)
+def test_a_bad_setting_of_train(
+    train: Train, tmp_path: Path, argument: str, expected: tuple[str, ...]
+) -> None:
+    """Told before the training, not after it."""
+    told(train(f"output={tmp_path}", argument), *expected)
+    assert not list(tmp_path.glob("trainings/*/*.safetensors"))
+    assert not list(tmp_path.glob("trainings/*/last.ckpt"))
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("unknown=1", ("unknown",)),
+        ("model.depths=3", ("depths",)),
+        ("fusion=foo", ("fusion/foo", "transformer", "avg", "pred")),
+        ("model=huge", ("model/huge", "tiny", "small", "paper")),
+        ("views", ("views",)),
+    ],
+)
+def test_what_hydra_does_not_know(argument: str, expected: tuple[str, ...]) -> None:
+    """Its own message: which key, and what there is."""
+    result = call("train", argument)
+    assert result.status != 0
+    for text in expected:
+        assert text in result.err
+    assert "Traceback" not in result.err + result.out
+    assert not Path("outputs").exists()
+
+
+def test_an_unknown_override_by_a_process(tmp_path: Path) -> None:
+    result = start("train", "unknown=1", cwd=tmp_path)
+    assert result.status != 0
+    assert "unknown" in result.err
+    assert "Traceback" not in result.err
+    assert result.out == ""
+    assert list(tmp_path.iterdir()) == []
