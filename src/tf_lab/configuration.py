@@ -48,7 +48,9 @@ def chunk_settings(config: Config) -> ChunkSettings:
     t = config["training"]
     return ChunkSettings(
         chunks=t["chunks"],
+        images=t["images"],
         views=tuple(t["views"]),
+        ranked=t["ranked"],
         points=t["points"],
         near_share=t["near_share"],
         coverage=t["coverage"],

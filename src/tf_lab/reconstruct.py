@@ -99,8 +99,8 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
         groundtruth = Path(temporary)
         if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
             groundtruth = capture.groundtruth
-        elif capture.depth(0) is not None:
-            write_groundtruth(capture, groundtruth, GroundTruthSettings())
+        else:
+            _fuse_depth(capture, groundtruth)
         if (groundtruth / "mesh_gt.ply").exists():
             scores = evaluate_scene(result.mesh, groundtruth)
             print("against the mesh fused from its own depth:")
@@ -108,6 +108,15 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
             truth, fscore = read_mesh(groundtruth / "mesh_gt.ply"), scores["fscore"]
     compare(result.mesh, truth, images, picture, capture.name, fscore)
     print(f"{picture}: a picture of it")
+
+
+def _fuse_depth(capture: Capture, directory: Path) -> None:
+    """Ground truth from the source's own depth, if it has any; the mesh is there without it."""
+    try:
+        if capture.depth(0) is not None:
+            write_groundtruth(capture, directory, GroundTruthSettings())
+    except TFLabError as error:
+        print(f"not scored, because the depth cannot be fused: {error}")
 
 
 def _in_source_frame(mesh: trimesh.Trimesh, capture: Capture) -> trimesh.Trimesh:

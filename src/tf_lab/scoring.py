@@ -83,7 +83,10 @@ def reconstruct(
         if progress is not None:
             progress(done, len(keyframes))
     if not used:
-        raise TFLabError(f"{capture.name}: none of the {len(keyframes)} keyframes can be read")
+        raise TFLabError(
+            f"{capture.name}: none of the {len(keyframes)} keyframes can be read; the first: "
+            f"{skipped[0]}"
+        )
     return Reconstruction(online.mesh(), used, skipped)
 
 

@@ -107,6 +107,7 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     trainer = _trainer(config, directory)
     last = directory / "last.ckpt"
     if last.exists():
+        _check(last)
         print(f"resuming {last}")
     start = time.time()
     trainer.fit(module, data, ckpt_path=str(last) if last.exists() else None, weights_only=True)
@@ -120,6 +121,16 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
             loss_curve(logs, directory / "loss.png")
         save_network(network, checkpoint, info)
         last.unlink(missing_ok=True)
+
+
+def _check(last: Path) -> None:
+    """That the checkpoint to resume from can be read."""
+    try:
+        torch.load(last, map_location="cpu", weights_only=True)
+    except Exception as error:  # any damage
+        raise TFLabError(
+            f"{last}: damaged ({type(error).__name__}); delete it to start this training again"
+        ) from error
 
 
 def _trainer(config: Config, directory: Path) -> L.Trainer:

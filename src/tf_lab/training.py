@@ -91,6 +91,8 @@ class Training(L.LightningModule):
             FINE_GRID,
             batch.points,
             batch.coarse_target,
+            keep=int(batch.keep[0]) or None,
+            ranked=bool(batch.ranked[0]),
         )
         terms = losses(
             predictions,

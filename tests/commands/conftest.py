@@ -76,7 +76,9 @@ def train(outputs: Path) -> Callable[..., Result]:
     """Runs the train command on the tiny rooms; all share what it makes, unless given `output=`."""
 
     def run(*arguments: str) -> Result:
-        return call("train", *TINY, f"output={outputs}", *arguments)
+        flags = [argument for argument in arguments if argument.startswith("-")]  # these go first
+        overrides = [argument for argument in arguments if argument not in flags]
+        return call("train", *flags, *TINY, f"output={outputs}", *overrides)
 
     return run
 

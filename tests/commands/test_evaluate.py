@@ -40,7 +40,7 @@ def test_by_a_process_on_the_published_layout(published: Path) -> None:
     perfect, absent = metrics["scenes"]["scene0000_00"], metrics["scenes"]["scene0001_00"]
     assert set(perfect) == set(absent) == set(metrics["mean"]) == METRICS
     assert perfect["fscore"] > 0.999
-    assert perfect["compl"] < 0.5  # cm: the ground-truth points are the prediction's vertices
+    assert perfect["compl"] < 1  # cm, to the nearest of 200k samples of some 35 square metres
     assert absent == {
         **{"acc": 100, "compl": 100, "chamfer": 100},
         **{"prec": 1, "recall": 0, "fscore": 0},

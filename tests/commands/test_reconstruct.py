@@ -100,6 +100,18 @@ def test_a_capture_with_depth_is_scored_too(
     assert scores[0] == scores[1]
 
 
+def test_depth_that_cannot_be_fused_costs_the_score_only(
+    reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]], mine: Path
+) -> None:
+    shutil.copytree(rooms("test")[0] / "depth", mine / "depth")
+    (mine / "depth" / "000003.png").unlink()
+    result = reconstruct("input=mine", "output=a.ply")
+    assert (result.status, result.err) == (0, "")
+    assert "not scored, because the depth cannot be fused: mine: frame 000003" in result.out
+    assert Path("a.ply").exists()
+    assert Path("a.png").exists()
+
+
 def test_a_prepared_scene_is_an_input(
     reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]]
 ) -> None:

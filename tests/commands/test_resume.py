@@ -26,10 +26,8 @@ def kill_after_first_save(arguments: list[str], directory: Path) -> None:
         stderr=subprocess.DEVNULL,
     )
     try:
-        end = time.monotonic() + 120
         while not (directory / "last.ckpt").exists():
             assert process.poll() is None, "it ended before it saved"
-            assert time.monotonic() < end, "it never saved"
             time.sleep(0.02)
     finally:
         process.send_signal(signal.SIGKILL)
@@ -65,7 +63,7 @@ def test_a_killed_training_ends_with_the_weights_of_an_undisturbed_one(tmp_path:
 def test_a_damaged_checkpoint_to_resume_from_is_named(tmp_path: Path) -> None:
     directory = training_directory(tiny_config(f"output={tmp_path}"))
     directory.mkdir(parents=True)
-    (directory / "last.ckpt").write_bytes(b"\x80damaged")
+    (directory / "last.ckpt").write_bytes(b"damaged")
     result = call("train", *TINY, f"output={tmp_path}")
     assert result.status == 2
     (line,) = result.err.splitlines()

@@ -77,7 +77,6 @@ def start(command: str, *arguments: str, cwd: Path, **variables: str) -> Result:
         env=environment(**variables),
         capture_output=True,
         text=True,
-        timeout=240,
     )
     return Result(done.returncode, done.stdout, done.stderr)
 

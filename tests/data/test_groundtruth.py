@@ -12,6 +12,7 @@ from torch import Tensor
 import box_room
 from tf_lab.data.groundtruth import (
     COARSE,
+    EMPTY_SHARE,
     FINE,
     MAX_DISTANCE,
     GroundTruth,
@@ -229,7 +230,9 @@ def test_a_scene_of_walls_alone_has_no_furniture() -> None:
     _, weight = chunk_candidates(
         parts(([0, 0, 0], [4, 4, 2.4])), VoxelGrid((0, 0, 0), VOXEL, (100, 100, 60))
     )
-    assert set(np.unique(weight)) <= {np.float32(0.15), np.float32(1.0)}
+    empty = weight < 1
+    assert (weight[~empty] == 1).all()
+    assert weight[empty].sum() == pytest.approx(EMPTY_SHARE * weight[~empty].sum(), rel=1e-3)
 
 
 def test_chunks_of_the_room(truth: GroundTruth) -> None:
@@ -237,8 +240,10 @@ def test_chunks_of_the_room(truth: GroundTruth) -> None:
     far_from_it = (truth.centers[:, 0] < -0.7).nonzero()[0]
     assert truth.weight[near_box].min() > 1.3
     assert truth.weight[near_box].min() > truth.weight[far_from_it].mean()
-    assert (truth.centers > box_room.ROOM[0] - 0.05).all()
-    assert (truth.centers < box_room.ROOM[1] + 0.05).all()
+    # up to a chunk beyond the room there is little to learn but that nothing is there
+    beyond = ((truth.centers < box_room.ROOM[0]) | (truth.centers > box_room.ROOM[1])).any(1)
+    assert truth.weight[beyond].mean() < 0.5 < truth.weight[~beyond].mean()
+    assert np.abs(truth.centers - box_room.ROOM.mean(0)).max() < 1.5 + 1.5 + 0.05
 
 
 @pytest.mark.filterwarnings("ignore:loadtxt")
@@ -306,4 +311,4 @@ def test_readings_beyond_far_do_not_widen_the_volume(tmp_path: Path) -> None:
     frame = Frame("a", np.zeros((60, 80, 3), np.uint8), box_room.intrinsics(), pose, depth)
     scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
     grid = fuse_capture(scene, GroundTruthSettings()).grid
-    assert grid.origin[0] + grid.voxel * grid.shape[0] < 2.3
+    assert grid.origin[0] + grid.voxel * grid.shape[0] < 2.4

@@ -35,6 +35,8 @@ class ChunkBatch:
         fine_target: bool [B, 15, 15, 15], surface within 10 cm.
         points: [B, P, 3], metres.
         sdf: [B, P] signed distance in metres, NaN where unknown.
+        keep: int [B], K_t, the same for all: views a voxel keeps; 0: all images, valid or not.
+        ranked: bool [B], the same for all: it keeps those of the highest attention weight.
     """
 
     images: Tensor
@@ -44,6 +46,8 @@ class ChunkBatch:
     fine_target: Tensor
     points: Tensor
     sdf: Tensor
+    keep: Tensor
+    ranked: Tensor
 
     def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
         """The batch on another device (Lightning calls this)."""
@@ -57,7 +61,11 @@ class ChunkSettings:
 
     Attributes:
         chunks: chunks a step (4 in the paper).
-        views: the numbers of images K_t a chunk; one is drawn a step (always 8 in the paper).
+        images: random images a chunk (8 in the paper).
+        views: K_t, how many of its valid images every voxel keeps, as at test time; one of the
+            numbers is drawn a step. Empty: it keeps all images, valid or not (paper).
+        ranked: share of the steps that keep the views of the highest attention weight, as
+            attention selection does at test time, instead of random ones.
         points: occupancy samples a chunk (1000 in the paper).
         near_share: share of them within 10 cm of the surface (0.8 in the paper).
         coverage: least share of the chunk that an image must see.
@@ -65,7 +73,9 @@ class ChunkSettings:
     """
 
     chunks: int = 4
-    views: tuple[int, ...] = (8,)
+    images: int = 8
+    views: tuple[int, ...] = ()
+    ranked: float = 0.0
     points: int = 1000
     near_share: float = 0.8
     coverage: float = 0.3
@@ -91,11 +101,13 @@ class ChunkSampler:
 
     def batch(self, rng: np.random.Generator) -> ChunkBatch:
         """One batch, a function of the generator's state alone."""
-        views = int(rng.choice(self.settings.views))
+        s = self.settings
+        keep = int(rng.choice(s.views)) if s.views else 0
+        ranked = bool(rng.random() < s.ranked)
         chunks: list[ChunkBatch] = []
         for _ in range(100 * self.settings.chunks):
             directory = self.scenes[rng.integers(len(self.scenes))]
-            chunk = self.chunk(*_open(directory), rng, views)
+            chunk = self.chunk(*_open(directory), rng, keep, ranked)
             if chunk is not None:
                 chunks.append(chunk)
             if len(chunks) == self.settings.chunks:
@@ -103,18 +115,23 @@ class ChunkSampler:
                     **{k: torch.stack([vars(c)[k] for c in chunks]) for k in vars(chunks[0])}
                 )
         raise TFLabError(
-            f"no chunk with {views} views among 100 draws; use fewer views (model.data.views) or "
-            "less coverage"
+            f"no chunk with {s.images} images among 100 draws; use fewer (training.images) or "
+            "less training.coverage"
         )
 
     def chunk(
-        self, scene: Scene, truth: GroundTruth, rng: np.random.Generator, views: int
+        self,
+        scene: Scene,
+        truth: GroundTruth,
+        rng: np.random.Generator,
+        keep: int = 0,
+        ranked: bool = False,
     ) -> ChunkBatch | None:
         """One random chunk, without the batch axis; None if too few images see it."""
         s = self.settings
         chunk_T_world = self._place(truth, rng)
         poses = chunk_T_world @ torch.from_numpy(scene.world_T_cam)
-        chosen = self._choose_views(scene, poses.float(), rng, views)
+        chosen = self._choose_views(scene, poses.float(), rng)
         if chosen is None:
             return None
         world_T_chunk = invert_pose(chunk_T_world).float()
@@ -138,6 +155,8 @@ class ChunkSampler:
             fine_target=fine < FINE,
             points=points,
             sdf=truth.signed_distance(to_world(points)),
+            keep=torch.tensor(keep),
+            ranked=torch.tensor(ranked),
         )
 
     def _place(self, truth: GroundTruth, rng: np.random.Generator) -> Tensor:
@@ -152,16 +171,16 @@ class ChunkSampler:
         return chunk_T_world
 
     def _choose_views(
-        self, scene: Scene, chunk_T_cam: Tensor, rng: np.random.Generator, views: int
+        self, scene: Scene, chunk_T_cam: Tensor, rng: np.random.Generator
     ) -> np.ndarray | None:
         """Random frames that see enough of the chunk; None if there are fewer than wanted."""
         probes = VoxelGrid((0.0, 0.0, 0.0), COARSE, (5, 5, 5)).centers().reshape(-1, 3)
         uv, depth = project(probes, torch.from_numpy(scene.K).float(), invert_pose(chunk_T_cam))
         share = in_view(uv, depth, scene.size, self.near, self.far).float().mean(-1).numpy()
         candidates = np.flatnonzero(share >= self.settings.coverage)
-        if len(candidates) < views:
+        if len(candidates) < self.settings.images:
             return None
-        return rng.choice(candidates, views, replace=False)
+        return rng.choice(candidates, self.settings.images, replace=False)
 
 
 @lru_cache(maxsize=256)

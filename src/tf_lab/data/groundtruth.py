@@ -28,6 +28,8 @@ from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 
+VERSION = 2  # changes whenever the output for the same depth does
+EMPTY_SHARE = 0.2
 MAX_DISTANCE = 0.5  # metres, largest value in distance.npy
 MAX_READING = 10.0  # metres, farthest depth that counts as seen
 COARSE, FINE, CHUNK = 0.30, 0.10, 1.5  # metres; the paper's v_c, v_f and chunk edge
@@ -97,8 +99,9 @@ def chunk_candidates(
 
     Without labels, structure is told by shape: surface in columns that are covered over most of
     the scene's height is wall, surface near the lowest or highest level is floor or ceiling; what
-    remains is furniture. Weights: 0.15 without surface, 1 with structure only, rising to 3 with
-    the share of furniture.
+    remains is furniture. Weights: 1 with structure only, rising to 3 with the share of furniture.
+    Chunks without surface, in the scene or up to a chunk beyond it (where frusta reach at test
+    time), get little: 0.15, and together at most EMPTY_SHARE of all others.
 
     Returns:
         centers float32 [M, 3] in metres, weight float32 [M].
@@ -116,7 +119,7 @@ def chunk_candidates(
     furniture = ~wall[cell[:, 0], cell[:, 1]] & ~flat
 
     half = CHUNK / 2
-    axes = [np.arange(a, max(b, a + 1e-6), stride) for a, b in zip(lower, upper, strict=True)]
+    axes = [np.arange(a - CHUNK, b + CHUNK, stride) for a, b in zip(lower, upper, strict=True)]
     centers = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     # counts of vertices in the box around each centre, by the max norm
     everything = cKDTree(vertices).query_ball_point(
@@ -130,7 +133,10 @@ def chunk_candidates(
         things = np.zeros(len(centers), int)
     some = (CHUNK / grid.voxel) ** 2 * 0.1  # a tenth of one plane through the chunk
     share = np.minimum(things / (2 * some), 1.0)
-    weight = np.where(everything < some, 0.15, 1.0 + 2.0 * share)
+    weight = 1.0 + 2.0 * share
+    empty = everything < some
+    if not empty.all():
+        weight[empty] = min(EMPTY_SHARE * weight[~empty].sum() / max(1, empty.sum()), 0.15)
     return centers.astype(np.float32), weight.astype(np.float32)
 
 

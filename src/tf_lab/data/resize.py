@@ -37,4 +37,4 @@ class Resized:
         depth = self._capture.depth(index)
         if depth is None:
             return None
-        return np.asarray(Image.fromarray(depth).resize(self.size, Image.Resampling.NEAREST))
+        return np.array(Image.fromarray(depth).resize(self.size, Image.Resampling.NEAREST))

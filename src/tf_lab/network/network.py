@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.encoder import Encoder, normalise_images
-from tf_lab.network.fusion import STRATEGIES
+from tf_lab.network.fusion import STRATEGIES, weights_from_logits
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement
 from tf_lab.network.tokens import Tokens, measure
@@ -142,6 +142,8 @@ class Network(nn.Module):
         fine_grid: VoxelGrid,
         points: Tensor,
         coarse_target: Tensor | None,
+        keep: int | None = None,
+        ranked: bool = False,
     ) -> Predictions:
         """One training pass over chunks that share a grid, each in its own frame.
 
@@ -154,6 +156,9 @@ class Network(nn.Module):
             points: [B, P, 3] where occupancy is asked for.
             coarse_target: bool [B, X, Y, Z]; the fine level is computed where it or the predicted
                 coarse mask is true, so that it meets in training what it will meet at test time.
+            keep: K_t, how many of its valid views every voxel keeps, as at test time; None: all
+                V views, invalid ones too (paper).
+            ranked: keep those of the highest attention weight instead of the first.
         """
         B, V = images.shape[:2]
         size = (images.shape[-1], images.shape[-2])
@@ -169,9 +174,11 @@ class Network(nn.Module):
                 "coarse", maps["coarse"][b], centers.reshape(-1, 3), K[b], world_T_cam[b], size
             )
             psi.append(tokens.transpose(0, 1))
-            seen.append(valid.any(0).view(coarse_grid.shape))
-        coarse_seen = torch.stack(seen)
-        fused, _ = self.fuse("coarse", torch.stack(psi), None)
+            seen.append(valid.T)
+        valid = torch.cat(seen)
+        coarse_seen = valid.any(1).view(B, *coarse_grid.shape)
+        kept, slots = self.keep_views("coarse", torch.cat(psi), valid, keep, ranked)
+        fused, _ = self.fuse("coarse", kept, slots)
         volume = fused.view(B, *coarse_grid.shape, -1).permute(0, 4, 1, 2, 3)
         volume = volume * coarse_seen.unsqueeze(1)
         coarse, coarse_logits = self.refinement.coarse(volume, coarse_seen)
@@ -189,14 +196,16 @@ class Network(nn.Module):
         fine_active = near & torch.stack(
             [seen_by_any(fine_centers, b).view(fine_grid.shape) for b in range(B)]
         )
-        fine_tokens = []
+        psi, seen = [], []
         for b in range(B):
             active_points = fine_centers[fine_active[b].flatten()]
-            tokens, _ = self.embed(
+            tokens, valid = self.embed(
                 "fine", maps["fine"][b], active_points, K[b], world_T_cam[b], size
             )
-            fine_tokens.append(tokens.transpose(0, 1))
-        fused, _ = self.fuse("fine", torch.cat(fine_tokens), None)
+            psi.append(tokens.transpose(0, 1))
+            seen.append(valid.T)
+        kept, slots = self.keep_views("fine", torch.cat(psi), torch.cat(seen), keep, ranked)
+        fused, _ = self.fuse("fine", kept, slots)
         fine_volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
         fine_volume[fine_active] = fused
         coarse_inner = coarse[(slice(None), slice(None), *inner)]
@@ -210,6 +219,34 @@ class Network(nn.Module):
         return Predictions(
             coarse_logits, coarse_seen, fine_logits, fine_active, occupancy, seen_points
         )
+
+    def keep_views(
+        self, level: str, tokens: Tensor, valid: Tensor, keep: int | None, ranked: bool
+    ) -> tuple[Tensor, Tensor | None]:
+        """The measurements that voxels keep in training: what the view store does at test time.
+
+        Args:
+            level: "coarse" or "fine".
+            tokens: [P, V, D].
+            valid: bool [P, V].
+            keep: K_t; None keeps everything.
+            ranked: by attention weight, if the fusion has a preference; else the first ones.
+
+        Returns:
+            Tokens [P, K_t, D] and which of them are filled, bool [P, K_t]; None: all.
+        """
+        if keep is None:
+            return tokens, None
+        score = torch.arange(valid.shape[1], 0, -1, device=valid.device).expand(valid.shape)
+        if ranked:
+            with torch.no_grad():
+                logits = self.fusion[level].selection_logits(tokens)  # type: ignore[operator]
+            if logits is not None:
+                score = weights_from_logits(logits, valid)
+        score = score.float().masked_fill(~valid, -1.0)
+        best = score.topk(min(keep, valid.shape[1]), dim=1).indices
+        kept = tokens.gather(1, best[..., None].expand(-1, -1, tokens.shape[-1]))
+        return kept, valid.gather(1, best)
 
     def decode(
         self,

@@ -13,7 +13,17 @@ from pathlib import Path
 from typing import Any
 
 TRAINING_GROUPS = ("model", "encoder", "fusion", "inputs", "optimizer", "refine", "filter", "seed")
-TRAINING_KEYS = ("chunks", "views", "points", "near_share", "coverage", "augment", "sdf_weight")
+TRAINING_KEYS = (
+    "chunks",
+    "images",
+    "views",
+    "ranked",
+    "points",
+    "near_share",
+    "coverage",
+    "augment",
+    "sdf_weight",
+)
 TRAIN_DATA = ("name", "size", "width", "height", "frames")
 TEST_DATA = ("test_size", "test_frames")
 TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
+from tf_lab.data import groundtruth
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.preparation import SceneJob, prepare_scenes
 from tf_lab.data.rooms import VERSION, RoomSettings, generate_room
@@ -27,7 +28,8 @@ class RoomSplit:
 
 def room_directory(root: Path, split: str, index: int, settings: RoomSettings) -> Path:
     """Where a room lies: everything that shapes it is in the path, so a cache never goes stale."""
-    identity = json.dumps([VERSION, asdict(settings), asdict(GroundTruthSettings())])
+    versions = [VERSION, groundtruth.VERSION]
+    identity = json.dumps([*versions, asdict(settings), asdict(GroundTruthSettings())])
     key = hashlib.sha256(identity.encode()).hexdigest()[:10]
     return root / f"rooms-{key}" / split / f"room_{FIRST_SEED[split] + index:07d}"
 
