@@ -34,6 +34,7 @@ class OptimizerSettings:
         warmup: steps of linear warm-up (5000 in the paper).
         steps: all steps.
         clip: largest gradient norm; 0: none (paper).
+        encoder_factor: the encoder's learning rate over the others' (1 in the paper).
     """
 
     lr: float
@@ -44,6 +45,7 @@ class OptimizerSettings:
     warmup: int
     steps: int
     clip: float
+    encoder_factor: float
 
     def __post_init__(self) -> None:
         if self.schedule not in ("inverse_sqrt", "cosine"):
@@ -118,7 +120,10 @@ class Training(L.LightningModule):
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam with a per-step schedule."""
         s = self.optimizer_settings
-        adam = torch.optim.Adam(self.network.parameters(), s.lr, s.betas, s.eps, s.weight_decay)
+        encoder = list(self.network.encoder.parameters())
+        others = [p for n, p in self.network.named_parameters() if not n.startswith("encoder.")]
+        groups = [{"params": others}, {"params": encoder, "lr": s.lr * s.encoder_factor}]
+        adam = torch.optim.Adam(groups, s.lr, s.betas, s.eps, s.weight_decay)
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, s.factor)
         return {
             "optimizer": adam,
