@@ -57,7 +57,7 @@ def test_one_chunk_overfits(box_scene: Path, tiny_network: Callable[..., Network
     """Occupancy accuracy > 0.98 on the chunk that is trained on, from its images alone."""
     torch.manual_seed(0)
     network = tiny_network(width=24, hidden=48)
-    settings = ChunkSettings(chunks=1, views=(8,), coverage=0.2, augment=False)
+    settings = ChunkSettings(chunks=1, images=8, coverage=0.2, augment=False)
     sampler = ChunkSampler([box_scene], settings, near=0.1, far=5.0)
     rng = np.random.default_rng(0)
     batch = sampler.batch(rng)

@@ -271,7 +271,7 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
         ("+optimizer.momentum=3", ("optimizer", "momentum", "conf/model")),
         ("+trainer.gpus=3", ("trainer", "gpus", "conf/trainer")),
         ("trainer.accelerator=abacus", ("trainer", "abacus", "conf/trainer")),
-        ("training.views=[99]", ("no chunk with 99 views", "fewer views")),
+        ("training.images=99", ("no chunk with 99 images", "use fewer")),
         ("data.name=scannet", ("data.name=scannet",)),
     ],
 )

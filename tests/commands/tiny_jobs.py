@@ -27,7 +27,13 @@ TINY = (
     *("model.width=8", "model.hidden=16", "model.refine_blocks=1", "model.far=2.5"),
     *("encoder.weights=none", "encoder.width=8", "encoder.blocks=[1,1,1]"),
     *("encoder.coarse_channels=8", "encoder.fine_channels=8"),
-    *("training.chunks=1", "training.views=[3]", "training.points=200"),
+    *(
+        "training.chunks=1",
+        "training.images=3",
+        "training.views=[2]",
+        "training.coverage=0.3",
+        "training.points=200",
+    ),
     *("training.validate_every=0", "training.save_every=5", "optimizer.steps=5"),
     *("trainer.accelerator=cpu", "trainer.workers=0", "resolution=0.05"),
 )
