@@ -25,6 +25,7 @@ from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
 from tf_lab.files import atomic_path
 from tf_lab.network.encoder import Encoder, normalise_images
 from tf_lab.network.matching import matching_loss
+from tf_lab.study.runs import portable
 from tf_lab.training import TrainingProgress
 
 
@@ -75,7 +76,7 @@ class Matching(L.LightningModule):
 def main(cfg: DictConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
     config = plain(cfg)
-    output = Path(config["output"])
+    output, origin = Path(config["output"]), provenance()
     L.seed_everything(config["seed"], verbose=False)
     splits = prepare_data(config, ("train", "val"))
     encoder = Encoder(**{k: v for k, v in config["encoder"].items() if k != "weights"})
@@ -119,7 +120,7 @@ def main(cfg: DictConfig) -> None:
     if trainer.global_step < config["steps"]:
         raise KeyboardInterrupt  # Lightning turns the signal into a silent end
     scores = {k: round(float(v), 4) for k, v in trainer.callback_metrics.items() if "val/" in k}
-    info = {**provenance(), "config": config, "scores": scores}
+    info = {**origin, "config": portable(config), "scores": scores}
     with atomic_path(output) as temporary:
         save_file(encoder.state_dict(), temporary, {"info": json.dumps(info)})
     last.unlink(missing_ok=True)

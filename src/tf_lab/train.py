@@ -34,7 +34,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, write_json
 from tf_lab.pictures import loss_curve
-from tf_lab.study.runs import row_label, run_directory, training_directory
+from tf_lab.study.runs import portable, row_label, run_directory, training_directory
 from tf_lab.testing import read_metrics, test_network
 from tf_lab.training import Training, TrainingProgress
 
@@ -109,13 +109,13 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     if last.exists():
         _check(last)
         print(f"resuming {last}")
-    start = time.time()
+    start, origin = time.time(), provenance()  # of the code that trains, not of what HEAD becomes
     trainer.fit(module, data, ckpt_path=str(last) if last.exists() else None, weights_only=True)
     if trainer.global_step < optimizer.steps:
         raise KeyboardInterrupt  # Lightning turns the signal into a silent end
     if trainer.is_global_zero:
         seconds = round(time.time() - start, 1)
-        info = {"training": {**provenance(), "config": config, "seconds": seconds}}
+        info = {"training": {**origin, "config": portable(config), "seconds": seconds}}
         logs = sorted(directory.glob("logs/version_*/metrics.csv"))
         if logs:
             loss_curve(logs, directory / "loss.png")

@@ -65,6 +65,12 @@ def run_directory(config: Mapping[str, Any]) -> Path:
     return Path(config["output"]) / "runs" / "-".join([*name, f"seed{config['seed']}", key])
 
 
+def portable(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A config without the paths of this machine, as it may travel with a checkpoint."""
+    data = {k: v for k, v in config["data"].items() if k != "root"}
+    return {**{k: v for k, v in config.items() if k != "output"}, "data": data}
+
+
 def row_label(config: Mapping[str, Any]) -> str:
     """The row of the paper's tables that a config is."""
     parts = []
