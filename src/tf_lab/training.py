@@ -122,7 +122,10 @@ class Training(L.LightningModule):
         s = self.optimizer_settings
         encoder = list(self.network.encoder.parameters())
         others = [p for n, p in self.network.named_parameters() if not n.startswith("encoder.")]
-        groups = [{"params": others}, {"params": encoder, "lr": s.lr * s.encoder_factor}]
+        groups: list[dict[str, Any]] = [
+            {"params": others},
+            {"params": encoder, "lr": s.lr * s.encoder_factor},
+        ]
         adam = torch.optim.Adam(groups, s.lr, s.betas, s.eps, s.weight_decay)
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, s.factor)
         return {
