@@ -169,14 +169,14 @@ def test_loss_curve_from_a_log_with_gaps(tmp_path: Path) -> None:
     rows.append({"step": 2000, "train/loss": "nan"})
     columns = ["epoch", "step", "train/loss", "train/coarse", "train/fine", "val/fscore"]
     write_csv(tmp_path / "metrics.csv", rows, columns)
-    loss_curve(tmp_path / "metrics.csv", tmp_path / "loss.png")
+    loss_curve([tmp_path / "metrics.csv"], tmp_path / "loss.png")
     assert np.asarray(Image.open(tmp_path / "loss.png")).std() > 5
 
 
 @pytest.mark.parametrize("column", ["train/loss", "val/fscore"])
 def test_loss_curve_of_one_column_and_one_row(tmp_path: Path, column: str) -> None:
     write_csv(tmp_path / "metrics.csv", [{"step": 0, column: 0.5}], ["step", column])
-    loss_curve(tmp_path / "metrics.csv", tmp_path / "loss.png")
+    loss_curve([tmp_path / "metrics.csv"], tmp_path / "loss.png")
     assert (tmp_path / "loss.png").exists()
 
 
@@ -184,4 +184,4 @@ def test_loss_curve_without_anything_to_draw(tmp_path: Path) -> None:
     write_csv(tmp_path / "metrics.csv", [{"step": 0, "lr": 1}], ["step", "lr"])
     for name, message in (("metrics.csv", "none of"), ("typo.csv", "cannot be read")):
         with pytest.raises(TFLabError, match=rf"{name}: {message}"):
-            loss_curve(tmp_path / name, tmp_path / "loss.png")
+            loss_curve([tmp_path / name], tmp_path / "loss.png")
