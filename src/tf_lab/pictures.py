@@ -294,7 +294,8 @@ def loss_curve(csv_paths: Sequence[Path], path: Path) -> None:
     losses = {key: series for key, series in losses.items() if len(series)}
     score = _series(rows, "val/fscore")
     if not losses and not len(score):
-        raise TFLabError(f"{path}: none of {', '.join(LOSSES)}, val/fscore was logged")
+        names = ", ".join(str(p) for p in csv_paths)
+        raise TFLabError(f"{names}: none of {', '.join(LOSSES)}, val/fscore was logged")
     count = bool(losses) + bool(len(score))
     figure = Figure(figsize=(5.5 * count, 3.6), dpi=DPI, layout="constrained")
     axes = list(np.ravel(figure.subplots(1, count)))
