@@ -7,7 +7,8 @@ import trimesh
 from PIL import Image
 
 from tf_lab.errors import TFLabError
-from tf_lab.pictures import CLAY, cast, compare, loss_curve, overview_camera, render_mesh
+from tf_lab.pictures import compare, loss_curve
+from tf_lab.raycast import CLAY, cast, overview_camera, render_mesh
 
 
 def furnished_room() -> trimesh.Trimesh:

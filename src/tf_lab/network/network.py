@@ -13,7 +13,7 @@ from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.encoder import Encoder, normalise_images
 from tf_lab.network.fusion import STRATEGIES, weights_from_logits
 from tf_lab.network.occupancy import OccupancyMLP
-from tf_lab.network.refinement import Refinement
+from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.tokens import Tokens, measure
 
 LEVELS = ("coarse", "fine")
@@ -164,61 +164,55 @@ class Network(nn.Module):
         size = (images.shape[-1], images.shape[-2])
         maps = {k: m.unflatten(0, (B, V)) for k, m in self.encode(images.flatten(0, 1)).items()}
 
-        def seen_by_any(p: Tensor, b: int) -> Tensor:
-            return self.visible(p, K[b], world_T_cam[b], size).any(0)
+        def fuse(level: str, where: list[Tensor]) -> tuple[Tensor, Tensor]:
+            """Fused features of points [P_b, 3] of every chunk, and whether a view sees them."""
+            chunks = [
+                self.embed(level, maps[level][b], where[b], K[b], world_T_cam[b], size)
+                for b in range(B)
+            ]
+            tokens = torch.cat([t.transpose(0, 1) for t, _ in chunks])
+            valid = torch.cat([v.T for _, v in chunks])
+            kept, slots = self.keep_views(level, tokens, valid, keep, ranked)
+            return self.fuse(level, kept, slots)[0], valid.any(1)
 
-        centers = coarse_grid.centers().to(K.device)
-        psi, seen = [], []
-        for b in range(B):
-            tokens, valid = self.embed(
-                "coarse", maps["coarse"][b], centers.reshape(-1, 3), K[b], world_T_cam[b], size
-            )
-            psi.append(tokens.transpose(0, 1))
-            seen.append(valid.T)
-        valid = torch.cat(seen)
-        coarse_seen = valid.any(1).view(B, *coarse_grid.shape)
-        kept, slots = self.keep_views("coarse", torch.cat(psi), valid, keep, ranked)
-        fused, _ = self.fuse("coarse", kept, slots)
-        volume = fused.view(B, *coarse_grid.shape, -1).permute(0, 4, 1, 2, 3)
-        volume = volume * coarse_seen.unsqueeze(1)
-        coarse, coarse_logits = self.refinement.coarse(volume, coarse_seen)
+        def seen(where: Tensor, b: int) -> Tensor:
+            return self.visible(where, K[b], world_T_cam[b], size).any(0)
 
-        near = torch.ones_like(coarse_seen)
-        if self.config.filter:
-            near = coarse_logits.detach() > 0
-            if coarse_target is not None:
-                near = near | coarse_target
-        fine_centers = fine_grid.centers().to(K.device).reshape(-1, 3)
+        centers = coarse_grid.centers().to(K.device).reshape(-1, 3)
+        fused, some = fuse("coarse", [centers] * B)
+        coarse_seen = some.view(B, *coarse_grid.shape)
+        volume = fused.view(B, *coarse_grid.shape, -1) * coarse_seen.unsqueeze(-1)
+        coarse, coarse_logits = self.refinement.coarse(volume.permute(0, 4, 1, 2, 3), coarse_seen)
+
         inner = subgrid(coarse_grid, fine_grid)
-        near = (near & coarse_seen)[(slice(None), *inner)]
-        for axis in (1, 2, 3):
-            near = near.repeat_interleave(3, dim=axis)
-        fine_active = near & torch.stack(
-            [seen_by_any(fine_centers, b).view(fine_grid.shape) for b in range(B)]
-        )
-        psi, seen = [], []
-        for b in range(B):
-            active_points = fine_centers[fine_active[b].flatten()]
-            tokens, valid = self.embed(
-                "fine", maps["fine"][b], active_points, K[b], world_T_cam[b], size
-            )
-            psi.append(tokens.transpose(0, 1))
-            seen.append(valid.T)
-        kept, slots = self.keep_views("fine", torch.cat(psi), torch.cat(seen), keep, ranked)
-        fused, _ = self.fuse("fine", kept, slots)
-        fine_volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
-        fine_volume[fine_active] = fused
-        coarse_inner = coarse[(slice(None), slice(None), *inner)]
+        centers = fine_grid.centers().to(K.device).reshape(-1, 3)
+        active = torch.stack([seen(centers, b) for b in range(B)]).view(B, *fine_grid.shape)
+        near = self._near(coarse_logits, coarse_seen, coarse_target)[(slice(None), *inner)]
+        active = active & upsample(near, first_axis=1)
+        fused, _ = fuse("fine", [centers[active[b].flatten()] for b in range(B)])
+        volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
+        volume[active] = fused
         fine, fine_logits = self.refinement.fine(
-            coarse_inner, fine_volume.permute(0, 4, 1, 2, 3), fine_active
+            coarse[(slice(None), slice(None), *inner)], volume.permute(0, 4, 1, 2, 3), active
         )
-        occupancy = torch.stack(
-            [self.decode(coarse[b], coarse_grid, fine[b], fine_grid, points[b]) for b in range(B)]
-        )
-        seen_points = torch.stack([seen_by_any(points[b], b) for b in range(B)])
+        occupancy = [
+            self.decode(coarse[b], coarse_grid, fine[b], fine_grid, points[b]) for b in range(B)
+        ]
         return Predictions(
-            coarse_logits, coarse_seen, fine_logits, fine_active, occupancy, seen_points
+            coarse_logits,
+            coarse_seen,
+            fine_logits,
+            active,
+            torch.stack(occupancy),
+            torch.stack([seen(points[b], b) for b in range(B)]),
         )
+
+    def _near(self, logits: Tensor, seen: Tensor, target: Tensor | None) -> Tensor:
+        """Coarse voxels whose fine ones are computed: bool [B, X, Y, Z]."""
+        if not self.config.filter:
+            return seen
+        near = logits.detach() > 0
+        return seen & (near if target is None else near | target)
 
     def keep_views(
         self, level: str, tokens: Tensor, valid: Tensor, keep: int | None, ranked: bool

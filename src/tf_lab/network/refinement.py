@@ -86,13 +86,17 @@ class Refinement(nn.Module):
             Refined features [B, D, 3X, 3Y, 3Z] and near-surface logits [B, 3X, 3Y, 3Z].
         """
         mask = active.unsqueeze(1).to(psi.dtype)
-        up = coarse
-        for axis in (2, 3, 4):  # nearest-neighbour upsampling by 3
-            up = up.repeat_interleave(3, dim=axis)
-        x = self.merge(torch.cat([up, psi], dim=1)) * mask
+        x = self.merge(torch.cat([upsample(coarse, first_axis=2), psi], dim=1)) * mask
         for block in self.fine_blocks:
             x = block(x, mask)
         return x, self.fine_mask(x).squeeze(1)
+
+
+def upsample(volume: Tensor, first_axis: int) -> Tensor:
+    """Nearest-neighbour upsampling by 3 of the three axes from ``first_axis`` on."""
+    for axis in range(first_axis, first_axis + 3):
+        volume = volume.repeat_interleave(3, dim=axis)
+    return volume
 
 
 def _mask_head(width: int, kernel: int) -> nn.Module:

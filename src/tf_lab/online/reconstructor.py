@@ -20,6 +20,7 @@ from tf_lab.data.groundtruth import COARSE, FINE
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, pixel_directions, transform
 from tf_lab.network.network import Network
+from tf_lab.network.refinement import upsample
 from tf_lab.online.mesher import cells_per_voxel, color_vertices, crossing_voxels, extract
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.view_store import ViewStore
@@ -167,9 +168,7 @@ class Reconstructor:
             return None
         grid, box = _crop(self.grid, near)
         fine_grid = grid.refined(3)
-        active = near[box]
-        for axis in range(3):
-            active = active.repeat_interleave(3, dim=axis)
+        active = upsample(near[box], first_axis=0)
         points = fine_grid.centers().to(self.device)[active]
         store = self._store("fine", points)
         for frame in range(len(self.images)):
