@@ -17,7 +17,9 @@ import yaml
 from filelock import FileLock
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, save_network
@@ -48,6 +50,8 @@ def main(cfg: DictConfig) -> None:
     config = plain(cfg)
     start = time.time()
     checkpoint = train(config)
+    if _is_helper():
+        return  # the first process of a distributed training does the rest
     run = evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
@@ -78,13 +82,24 @@ def train(config: Config) -> Path:
     directory = training_directory(config)
     directory.mkdir(parents=True, exist_ok=True)
     checkpoint = directory / "model.safetensors"
+    if _is_helper():  # the first process holds the lock for all
+        if not checkpoint.exists():
+            _fit(config, directory, checkpoint)
+        return checkpoint
     with FileLock(directory / ".lock"):
         if checkpoint.exists():
             print(f"reusing the identical finished training {directory}")
             return checkpoint
+        for partial in directory.glob(".partial-*"):
+            partial.unlink()  # of a training that was killed while it saved
         write_config(directory, config)
         _fit(config, directory, checkpoint)
     return checkpoint
+
+
+def _is_helper() -> bool:
+    """Whether this is a process of a distributed training other than the first."""
+    return getattr(rank_zero_only, "rank", 0) > 0
 
 
 def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
@@ -123,6 +138,21 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
         last.unlink(missing_ok=True)
 
 
+class AtomicSaves(TorchCheckpointIO):
+    """Writes checkpoints beside their final place, so that a kill never leaves half of one.
+
+    Lightning's own way moves them there from the system's temporary directory, which on another
+    file system means copying.
+    """
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None
+    ) -> None:
+        """Write ``checkpoint`` to ``path``, whole or not at all."""
+        with atomic_path(Path(path)) as temporary:
+            torch.save(checkpoint, temporary)
+
+
 def _check(last: Path) -> None:
     """That the checkpoint to resume from can be read."""
     try:
@@ -155,6 +185,7 @@ def _trainer(config: Config, directory: Path) -> L.Trainer:
             num_sanity_val_steps=0,
             gradient_clip_val=config["optimizer"]["clip"] or None,
             callbacks=[saving, TrainingProgress()],
+            plugins=[AtomicSaves()],
             logger=make_logger(config, directory),
             log_every_n_steps=5,
             enable_progress_bar=False,

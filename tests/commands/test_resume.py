@@ -1,5 +1,6 @@
 """A training killed at any moment goes on, by the same command, to the same end."""
 
+import csv
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from safetensors.torch import load_file
 from tiny_jobs import TINY, call, environment, tiny_config
 
 from tf_lab.study.runs import training_directory
+from tf_lab.train import AtomicSaves
 from tf_lab.train import train as train_network
 
 STEPS = ("optimizer.steps=40", "training.save_every=5")
@@ -54,9 +56,37 @@ def test_a_killed_training_ends_with_the_weights_of_an_undisturbed_one(tmp_path:
     expected = load_file(undisturbed)
     for name, value in load_file(directory / "model.safetensors").items():
         torch.testing.assert_close(value, expected[name], rtol=0, atol=1e-6, msg=name)
-    # and the curve is drawn from the logs of both parts
-    assert len(list(directory.glob("logs/version_*/metrics.csv"))) == 2
+    with (directory / "logs" / "version_1" / "metrics.csv").open() as file:
+        steps = [int(row["step"]) for row in csv.DictReader(file)]
+    assert min(steps) >= saved  # it went on, and did not start again
     assert (directory / "loss.png").exists()
+
+
+def test_a_kill_while_saving_leaves_the_checkpoint_before(tmp_path: Path) -> None:
+    class KilledError(Exception):
+        pass
+
+    class Slow:
+        """Something whose writing is cut off."""
+
+        def __reduce__(self) -> str:
+            raise KilledError
+
+    path = tmp_path / "last.ckpt"
+    AtomicSaves().save_checkpoint({"global_step": 5}, path)
+    with pytest.raises(KilledError):
+        AtomicSaves().save_checkpoint({"x": torch.zeros(1000), "slow": Slow()}, path)
+    assert torch.load(path, weights_only=True) == {"global_step": 5}
+
+
+@pytest.mark.usefixtures("outputs")
+def test_what_a_kill_left_half_written_is_removed(tmp_path: Path) -> None:
+    config = tiny_config(f"output={tmp_path}")
+    directory = training_directory(config)
+    directory.mkdir(parents=True)
+    (directory / ".partial-abc.ckpt").write_bytes(b"half")
+    train_network(config)
+    assert not list(directory.glob(".partial-*"))
 
 
 @pytest.mark.usefixtures("outputs")

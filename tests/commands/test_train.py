@@ -16,7 +16,7 @@ import yaml
 from filelock import FileLock
 from PIL import Image
 from safetensors.torch import load_file
-from tiny_jobs import Result, call, tiny_config
+from tiny_jobs import TINY, Result, call, start, tiny_config
 
 import tf_lab
 from tf_lab.checkpoint import load_network
@@ -208,6 +208,17 @@ def test_without_a_val_room(train: Train, tmp_path: Path) -> None:
     result = train("data.val_size=0", "training.validate_every=5", f"output={tmp_path}")
     assert (result.status, result.err) == (0, "")
     assert "val/fscore" not in logged(result.path("training"))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("outputs")
+def test_two_processes_train_together(tmp_path: Path) -> None:
+    """The first holds the locks and does the rest alone."""
+    result = start("train", *TINY, "trainer.devices=2", "trainer.strategy=ddp", cwd=tmp_path)
+    assert result.status == 0, result.err
+    assert "GLOBAL_RANK: 1, MEMBER: 2/2" in result.err
+    assert result.out.count("Method ") == 1
+    check_run(tmp_path / result.path("run"))
 
 
 @pytest.mark.slow
