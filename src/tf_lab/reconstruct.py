@@ -71,7 +71,9 @@ def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:
     """The input at the image size that the checkpoint was trained at; a test room without one."""
     if config["input"] is None:
         return Scene(prepare_data(config, ("test",))["test"][0])
-    capture = open_capture(Path(config["input"]), config["format"], config["gravity"])
+    capture = open_capture(
+        Path(config["input"]), config["format"], config["gravity"], config["scale"]
+    )
     data = info.get("training", {}).get("config", {}).get("data", {})
     if "width" not in data:
         return capture
@@ -121,9 +123,7 @@ def _fuse_depth(capture: Capture, directory: Path) -> None:
 
 def _in_source_frame(mesh: trimesh.Trimesh, capture: Capture) -> trimesh.Trimesh:
     """A copy in the world of the source's poses."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = capture.source_R_world
-    return mesh.copy().apply_transform(matrix)
+    return mesh.copy().apply_transform(capture.source_T_world)
 
 
 def _device(name: str) -> torch.device:

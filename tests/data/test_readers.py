@@ -88,10 +88,9 @@ def test_every_layout_gives_the_known_capture(
     assert (capture.name, capture.size, capture.skipped) == (layout, SIZE, [])
     assert len(capture.frames) == len(set(capture.frames)) == COUNT
     np.testing.assert_array_equal(capture.K, np.tile(K, (COUNT, 1, 1)))
-    back = capture.world_T_cam.copy()
-    back[:, :3] = capture.source_R_world @ back[:, :3]
+    back = capture.source_T_world @ capture.world_T_cam
     np.testing.assert_allclose(back, known_poses(), atol=1e-9)
-    up = capture.source_R_world @ [0, 0, 1]
+    up = capture.source_T_world[:3, :3] @ [0, 0, 1]
     np.testing.assert_allclose(up, -np.array(DOWN) / np.linalg.norm(DOWN), atol=1e-9)
     for i in range(COUNT):
         np.testing.assert_array_equal(capture.image(i), known_images()[i])
@@ -132,7 +131,7 @@ def test_gravity_file_is_found(written: Callable[[str], Path]) -> None:
     directory = written("plain")
     np.savetxt(directory / "gravity-direction.txt", [0, 1, 0])
     capture = open_capture(directory)
-    np.testing.assert_allclose(capture.source_R_world @ [0, 0, -1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(capture.source_T_world[:3, :3] @ [0, 0, -1], [0, 1, 0], atol=1e-12)
 
 
 LOST = {
@@ -300,13 +299,13 @@ def test_images_of_another_size_are_told(written: Callable[[str], Path], layout:
     odd = colour_files(directory)[-1]
     Image.new("RGB", (8, 6)).save(odd)
     capture = open_capture(directory, gravity=DOWN)
-    index = [path.name for path in capture.colors].index(odd.name)  # type: ignore[attr-defined]
-    with pytest.raises(TFLabError, match="is 8x6, the capture is 16x12"):
+    index = [Path(str(f.color)).name for f in capture.source].index(odd.name)  # type: ignore[attr-defined]
+    with pytest.raises(TFLabError, match="is 8x6, its camera 16x12"):
         capture.image(index)
 
 
 def test_missing_empty_and_unknown_folders(tmp_path: Path) -> None:
-    with pytest.raises(TFLabError, match=r"no such folder"):
+    with pytest.raises(TFLabError, match=r"no such folder or file"):
         open_capture(tmp_path / "nowhere")
     with pytest.raises(TFLabError, match=r"empty.*scene\.json.*frame-XXXXXX.*images/, poses"):
         open_capture(tmp_path)

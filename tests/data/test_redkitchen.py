@@ -15,7 +15,7 @@ def test_redkitchen_opens(redkitchen: Path) -> None:
     assert (capture.size, len(capture.frames), capture.skipped) == ((640, 480), 100, [])
     assert capture.frames[:2] == ["frame-000000", "frame-000005"]
     np.testing.assert_array_equal(capture.K[0], [[585, 0, 320], [0, 585, 240], [0, 0, 1]])
-    first = capture.source_R_world @ capture.world_T_cam[0, :3]
+    first = (capture.source_T_world @ capture.world_T_cam[0])[:3]
     np.testing.assert_allclose(first, np.loadtxt(redkitchen / "frame-000000.pose.txt")[:3])
     depth = capture.depth(50)
     assert depth is not None

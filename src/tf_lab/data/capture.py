@@ -21,7 +21,8 @@ class Capture(Protocol):
         K: float64 [N, 3, 3] intrinsics of the colour images (OpenCV pixels, see `geometry`).
         world_T_cam: float64 [N, 4, 4] in a z-up, metric world. Valid (finite, rigid) for every
             frame: frames without a usable pose are left out and listed in ``skipped``.
-        source_R_world: float64 [3, 3], the rotation from this z-up world back to the source's.
+        source_T_world: float64 [4, 4] from this world back to the source's: a rotation, with the
+            source's units per metre.
         skipped: "frame: reason" of every frame left out.
     """
 
@@ -30,7 +31,7 @@ class Capture(Protocol):
     frames: list[str]
     K: np.ndarray
     world_T_cam: np.ndarray
-    source_R_world: np.ndarray
+    source_T_world: np.ndarray
     skipped: list[str]
 
     def image(self, index: int) -> np.ndarray:

@@ -1,7 +1,8 @@
 """From a source's world frame to ours, whose z axis points up.
 
 The direction of gravity ("down", in the source's frame) comes from the capture's
-``gravity-direction.txt``, or else from the user, or else from how people hold cameras.
+``gravity-direction.txt``, or else from the user, or else from the source's format, or else from how
+people hold cameras.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ logger = logging.getLogger(__name__)
 
 
 def find_down(
-    directory: Path, world_T_cam: np.ndarray, given: Sequence[float] | None = None
+    directory: Path,
+    world_T_cam: np.ndarray,
+    given: Sequence[float] | None = None,
+    stated: Sequence[float] | None = None,
 ) -> np.ndarray:
     """The unit direction of gravity [3] in the world of the poses [N, 4, 4]; logs where it is from.
 
@@ -34,6 +38,7 @@ def find_down(
         directory: the capture's; its `DIRECTION_FILE` is used first.
         world_T_cam: for the estimate, where nothing else says.
         given: the user's, used where there is no file.
+        stated: by the source's format, used where nobody says otherwise.
 
     Raises:
         TFLabError: the file or the given direction is not three numbers with a direction.
@@ -49,6 +54,8 @@ def find_down(
         source = DIRECTION_FILE
     elif given is not None:
         down, source = _unit(given, "gravity"), "as given"
+    elif stated is not None:
+        down, source = _unit(stated, "gravity"), "as the format states"
     else:
         down, source = estimate_down(world_T_cam), "estimated from the camera poses"
     logger.info("%s: gravity %s (%s)", directory, np.array2string(down, precision=4), source)

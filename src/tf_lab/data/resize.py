@@ -23,7 +23,7 @@ class Resized:
         self.name, self.frames, self.skipped = capture.name, capture.frames, capture.skipped
         self.K = scale_intrinsics(torch.from_numpy(capture.K), capture.size, size).numpy()
         self.world_T_cam = capture.world_T_cam
-        self.source_R_world = capture.source_R_world
+        self.source_T_world = capture.source_T_world
 
     def image(self, index: int) -> np.ndarray:
         """uint8 [H, W, 3] RGB, area-averaged."""

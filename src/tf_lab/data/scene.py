@@ -3,7 +3,7 @@
 Layout of a scene directory::
 
     scene.json           format version, name, image size, provenance, skipped frames
-    cameras.npz          K [N,3,3], world_T_cam [N,4,4], frames [N], source_R_world [3,3]
+    cameras.npz          K [N,3,3], world_T_cam [N,4,4], frames [N], source_T_world [4,4]
     color/<frame>.jpg    RGB
     depth/<frame>.png    16-bit millimetres, 0 = no reading (absent without depth)
     groundtruth/         see `groundtruth.py` (absent without ground truth)
@@ -12,7 +12,7 @@ Layout of a scene directory::
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ from tf_lab.data.capture import read_depth, read_image
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,26 @@ class Frame:
 
 
 def write_scene(
-    directory: Path, frames: Iterable[Frame], provenance: dict[str, Any], name: str
+    directory: Path,
+    frames: Iterable[Frame],
+    provenance: dict[str, Any],
+    name: str,
+    skipped: Sequence[str] = (),
+    source_T_world: np.ndarray | None = None,
 ) -> Scene:
-    """Write frames as a scene directory (not atomic: give a temporary directory) and open it."""
+    """Write frames as a scene directory (not atomic: give a temporary directory) and open it.
+
+    Args:
+        directory: must not exist, or be empty.
+        frames: of one image size; read one at a time.
+        provenance: where it is from.
+        name: of the scene.
+        skipped: "frame: reason" of what was left out; read after the frames, which may add to it.
+        source_T_world: [4, 4], see `Capture`.
+
+    Raises:
+        TFLabError: there is no frame.
+    """
     (directory / "color").mkdir(parents=True)
     names, Ks, poses, size = [], [], [], (0, 0)
     for frame in frames:
@@ -56,15 +73,22 @@ def write_scene(
         Ks.append(frame.K)
         poses.append(frame.world_T_cam)
     if not names:
-        raise TFLabError(f"{name}: no usable frame")
+        reason = f"; the first: {skipped[0]}" if skipped else ""
+        raise TFLabError(f"{name}: no usable frame{reason}")
     np.savez(
         directory / "cameras.npz",
         K=np.asarray(Ks, np.float64),
         world_T_cam=np.asarray(poses, np.float64),
         frames=np.asarray(names),
-        source_R_world=np.eye(3),
+        source_T_world=np.eye(4) if source_T_world is None else source_T_world,
     )
-    meta = {"format": FORMAT, "name": name, "size": size, "provenance": provenance, "skipped": []}
+    meta = {
+        "format": FORMAT,
+        "name": name,
+        "size": size,
+        "provenance": provenance,
+        "skipped": list(skipped),
+    }
     write_json(directory / "scene.json", meta)
     return Scene(directory)
 
@@ -81,24 +105,30 @@ class Scene:
         meta_file = self.directory / "scene.json"
         try:
             meta = json.loads(meta_file.read_text())
+            self._check_format(meta["format"])
             with np.load(self.directory / "cameras.npz") as cameras:
                 self.K = cameras["K"]
                 self.world_T_cam = cameras["world_T_cam"]
                 self.frames = [str(name) for name in cameras["frames"]]
-                self.source_R_world = cameras["source_R_world"]
+                self.source_T_world = cameras["source_T_world"]
             self.name: str = meta["name"]
             self.size: tuple[int, int] = (meta["size"][0], meta["size"][1])
             self.provenance: dict[str, Any] = meta["provenance"]
             self.skipped: list[str] = meta["skipped"]
         except FileNotFoundError as error:
             raise TFLabError(f"{error.filename}: missing; prepare the scene again") from error
+        except TFLabError:
+            raise
         except Exception as error:  # any damage: json, zip, keys
             raise TFLabError(
                 f"{self.directory}: the scene is damaged ({error}); delete it and prepare it again"
             ) from error
-        if meta["format"] != FORMAT:
+
+    def _check_format(self, found: int) -> None:
+        if found != FORMAT:
             raise TFLabError(
-                f"{meta_file}: scene format {meta['format']}, expected {FORMAT}; prepare it again"
+                f"{self.directory}: scene format {found}, expected {FORMAT}; delete it and "
+                "prepare it again"
             )
 
     def __len__(self) -> int:

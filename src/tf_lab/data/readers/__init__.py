@@ -1,21 +1,24 @@
 """Posed images from anywhere: one small module a layout, one function to open them all.
 
 A reader is a module with ``NAME``, ``LAYOUT`` (what it looks for, for the error message),
-``detect(directory)`` and ``read(directory)``, which gives the capture in the source's own world
-frame. To add one, write the module and name it in `READERS`; turning z-up happens here.
+``detect(path)`` and ``read(path)``, which gives the capture in the source's own world frame. To add
+one, write the module and name it in `READERS`; turning z-up and metric happens here.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from tf_lab.data.capture import Capture
 from tf_lab.data.gravity import align, find_down
 from tf_lab.data.readers import plain, seven_scenes
-from tf_lab.data.readers.folder import FolderCapture
+from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 
@@ -26,11 +29,11 @@ class Reader(Protocol):
     NAME: str
     LAYOUT: str
 
-    def detect(self, directory: Path) -> bool:
-        """Whether the directory looks like this layout."""
+    def detect(self, path: Path) -> bool:
+        """Whether a directory (or file) looks like this layout; quick, and never raises."""
         ...
 
-    def read(self, directory: Path) -> FolderCapture:
+    def read(self, path: Path) -> SourceCapture:
         """The capture in the source's world frame. Raises TFLabError."""
         ...
 
@@ -40,49 +43,74 @@ SCENE = "scene"
 
 
 def open_capture(
-    directory: Path | str, format: str | None = None, gravity: Sequence[float] | None = None
+    path: Path | str,
+    format: str | None = None,
+    gravity: Sequence[float] | None = None,
+    scale: float | None = None,
 ) -> Capture:
-    """Open a directory of posed images as a capture in a z-up world.
+    """Open posed images as a capture in a z-up world in metres.
 
     Args:
-        directory: a prepared scene or a source in one of the layouts of `READERS`.
+        path: a prepared scene or a source in one of the layouts of `READERS`.
         format: the layout's name; None recognises it.
         gravity: the direction of gravity (down) in the source's world, for a source that does not
             state it (see `tf_lab.data.gravity`); without it, it is estimated.
+        scale: metres per unit of the source's poses, for a source of unknown scale (COLMAP).
 
     Raises:
-        TFLabError: the directory is missing, of no known layout, or damaged.
+        TFLabError: the source is missing, of no known layout, or damaged.
     """
-    directory = Path(directory)
-    if not directory.is_dir():
-        raise TFLabError(f"{directory}: no such folder; give the folder of a capture or scene")
+    path = Path(path)
+    if not path.exists():
+        raise TFLabError(f"{path}: no such folder or file; give the folder of a capture or scene")
     readers = {reader.NAME: reader for reader in READERS}
-    name = _detect(directory) if format is None else format
+    name = _detect(path) if format is None else format
     if name == SCENE:
-        if gravity is not None:
-            raise TFLabError(f"{directory}: a prepared scene is z-up already; leave out gravity")
-        return Scene(directory)
+        if gravity is not None or scale is not None:
+            raise TFLabError(f"{path}: a prepared scene is z-up already, in metres; "
+                             "leave out gravity and scale")  # fmt: skip
+        return Scene(path)
     if name not in readers:
         known = ", ".join([SCENE, *readers])
         raise TFLabError(f"format={name}: no such layout; known are {known}")
-    return _upright(readers[name].read(directory), directory, gravity)
+    return _upright(_metric(readers[name].read(path), path, scale), path, gravity)
 
 
-def _detect(directory: Path) -> str:
-    found = [SCENE] if (directory / "scene.json").is_file() else []
-    found += [reader.NAME for reader in READERS if reader.detect(directory)]
+def _detect(path: Path) -> str:
+    found = [SCENE] if (path / "scene.json").is_file() else []
+    found += [reader.NAME for reader in READERS if reader.detect(path)]
     if len(found) > 1:
-        raise TFLabError(f"{directory}: may be {' or '.join(found)}; say which with format=")
+        raise TFLabError(f"{path}: may be {' or '.join(found)}; say which with format=")
     if not found:
         layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
-        state = "of no known layout" if any(directory.iterdir()) else "empty"
-        raise TFLabError(f"{directory}: {state}; looked for {'; '.join(layouts)}")
+        empty = path.is_dir() and not any(path.iterdir())
+        state = "empty" if empty else "of no known layout"
+        raise TFLabError(f"{path}: {state}; looked for {'; '.join(layouts)}")
     return found[0]
 
 
-def _upright(
-    capture: FolderCapture, directory: Path, gravity: Sequence[float] | None
-) -> FolderCapture:
-    down = find_down(directory, capture.world_T_cam, gravity)
+def _metric(capture: SourceCapture, path: Path, scale: float | None) -> SourceCapture:
+    """The capture in metres."""
+    if scale is None:
+        if capture.metric:
+            return capture
+        raise TFLabError(
+            f"{path}: its unit of length is unknown (structure from motion gives none); give "
+            "scale=METRES_PER_UNIT: a distance you know in metres over the same in the model"
+        )
+    if not (math.isfinite(scale) and scale > 0):
+        raise TFLabError(f"scale={scale:g}: metres per unit of the poses, a positive number")
+    world_T_cam, source_T_world = capture.world_T_cam.copy(), np.eye(4)
+    world_T_cam[:, :3, 3] *= scale
+    source_T_world[:3, :3] /= scale
+    return replace(capture, world_T_cam=world_T_cam, source_T_world=source_T_world)
+
+
+def _upright(capture: SourceCapture, path: Path, gravity: Sequence[float] | None) -> SourceCapture:
+    """The capture in a world whose z axis points up."""
+    directory = path if path.is_dir() else path.parent
+    down = find_down(directory, capture.world_T_cam, gravity, capture.down)
     world_T_cam, source_R_world = align(capture.world_T_cam, down)
-    return replace(capture, world_T_cam=world_T_cam, source_R_world=source_R_world)
+    turned = np.eye(4)
+    turned[:3, :3] = source_R_world
+    return replace(capture, world_T_cam=world_T_cam, source_T_world=capture.source_T_world @ turned)

@@ -14,14 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from tf_lab.data.readers.folder import (
-    FolderCapture,
-    FrameFiles,
+from tf_lab.data.readers.source import (
+    ColorFile,
+    DepthFile,
+    SourceCapture,
+    SourceFrame,
     collect,
     image_files,
     image_size,
     parse_pose,
     read_intrinsics,
+    read_text,
 )
 from tf_lab.errors import TFLabError
 
@@ -34,7 +37,7 @@ def detect(directory: Path) -> bool:
     return (directory / "images").is_dir() and (directory / "poses.txt").is_file()
 
 
-def read(directory: Path) -> FolderCapture:
+def read(directory: Path) -> SourceCapture:
     """The capture in its own world frame.
 
     Raises:
@@ -55,22 +58,19 @@ def read(directory: Path) -> FolderCapture:
         twice = next(stem for stem in stems if stems.count(stem) > 1)
         raise TFLabError(f"{folder}: two images are called {twice}; names must differ by stem")
     size = image_size(images)
-    K = read_intrinsics(directory / "K.txt", size)
+    camera = read_intrinsics(directory / "K.txt", size)
     depths = [directory / "depth" / f"{stem}.png" for stem in stems]
     frames = [
-        FrameFiles(stem, image, K, pose, depth if depth.exists() else None)
+        SourceFrame(
+            stem, camera, pose, ColorFile(image), DepthFile(depth) if depth.exists() else None
+        )
         for stem, image, pose, depth in zip(stems, images, poses, depths, strict=True)
     ]
-    return collect(directory, size, frames, skipped=[])
+    return collect(directory, frames, skipped=[])
 
 
 def _read_poses(path: Path) -> list[np.ndarray]:
-    try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise TFLabError(
-            f"{path}: cannot be read as text ({error}); {LAYOUT} belong together"
-        ) from error
+    lines = read_text(path, f"{LAYOUT} belong together").splitlines()
     poses = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tf_lab.data.readers.folder import (
-    FolderCapture,
-    FrameFiles,
+from tf_lab.data.readers.source import (
+    ColorFile,
+    DepthFile,
+    SourceCapture,
+    SourceFrame,
     collect,
     image_files,
     image_size,
@@ -32,7 +34,7 @@ def detect(directory: Path) -> bool:
     return any(directory.glob("frame-*.color.*"))
 
 
-def read(directory: Path) -> FolderCapture:
+def read(directory: Path) -> SourceCapture:
     """The sequence in its own world frame. A frame without a readable pose file is skipped.
 
     Raises:
@@ -49,7 +51,7 @@ def read(directory: Path) -> FolderCapture:
             "that holds the frames themselves"
         )
     size = image_size(colors.values())
-    K = read_intrinsics(directory / "camera-intrinsics.txt", size)
+    camera = read_intrinsics(directory / "camera-intrinsics.txt", size)
     posed = sorted(path.name.split(".")[0] for path in directory.glob("frame-*.pose.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
@@ -61,5 +63,9 @@ def read(directory: Path) -> FolderCapture:
             skipped.append(f"{name}: {name}.pose.txt is not a pose ({reason})")
             continue
         depth = directory / f"{name}.depth.png"
-        frames.append(FrameFiles(name, color, K, pose, depth if depth.exists() else None))
-    return collect(directory, size, frames, skipped)
+        frames.append(
+            SourceFrame(
+                name, camera, pose, ColorFile(color), DepthFile(depth) if depth.exists() else None
+            )
+        )
+    return collect(directory, frames, skipped)

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-from tf_lab.data import groundtruth
+from tf_lab.data import groundtruth, scene
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.preparation import SceneJob, prepare_scenes
 from tf_lab.data.rooms import VERSION, RoomSettings, generate_room
@@ -28,7 +28,7 @@ class RoomSplit:
 
 def room_directory(root: Path, split: str, index: int, settings: RoomSettings) -> Path:
     """Where a room lies: everything that shapes it is in the path, so a cache never goes stale."""
-    versions = [VERSION, groundtruth.VERSION]
+    versions = [VERSION, scene.FORMAT, groundtruth.VERSION]
     identity = json.dumps([*versions, asdict(settings), asdict(GroundTruthSettings())])
     key = hashlib.sha256(identity.encode()).hexdigest()[:10]
     return root / f"rooms-{key}" / split / f"room_{FIRST_SEED[split] + index:07d}"
@@ -37,10 +37,10 @@ def room_directory(root: Path, split: str, index: int, settings: RoomSettings) -
 def build_room(directory: Path, seed: int, settings: RoomSettings) -> None:
     """Render a room and its ground truth into a directory (see `scene` and `groundtruth`)."""
     provenance = {"source": "rooms", "seed": seed, "version": VERSION, **asdict(settings)}
-    scene = write_scene(
+    room = write_scene(
         directory, generate_room(seed, settings), provenance, name=f"room_{seed:07d}"
     )
-    write_groundtruth(scene, scene.groundtruth, GroundTruthSettings())
+    write_groundtruth(room, room.groundtruth, GroundTruthSettings())
 
 
 def prepare_rooms(

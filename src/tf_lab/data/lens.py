@@ -1,0 +1,185 @@
+"""Cameras as sources state them: any size, any lens; and how their images become pinhole images.
+
+Everything after the readers sees pinhole cameras without distortion (see `geometry`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from tf_lab.errors import TFLabError
+
+MAX_ZOOM = 4.0  # how much a lens may change the focal length before it is taken for an error
+MAX_PIXELS = 100_000_000
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera as a source gives it. Pixel centres are at integers, as everywhere in tf_lab.
+
+    Attributes:
+        size: (width, height) in pixels.
+        fx, fy, cx, cy: pixels.
+        distortion: OpenCV's coefficients: (k1, k2, p1, p2[, k3[, k4, k5, k6]]), or of its fisheye
+            model (k1, k2, k3, k4); empty without distortion.
+        fisheye: which of the two models.
+
+    Raises:
+        TFLabError: the numbers are not those of a camera.
+    """
+
+    size: tuple[int, int]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if not (width > 0 and height > 0 and width * height <= MAX_PIXELS):
+            raise TFLabError(f"an image size of {width}x{height} is impossible")
+        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.isfinite(values).all():
+            raise TFLabError(f"the intrinsics {values} have NaN or infinity")
+        if self.fx <= 0 or self.fy <= 0:
+            raise TFLabError(f"fx = {self.fx:g}, fy = {self.fy:g} must be positive")
+        if not (0 <= self.cx < width and 0 <= self.cy < height):
+            raise TFLabError(
+                f"the principal point ({self.cx:g}, {self.cy:g}) lies outside the {width}x{height} "
+                "images; intrinsics and images must be of one size"
+            )
+        allowed = (0, 4) if self.fisheye else (0, 4, 5, 8)
+        if len(self.distortion) not in allowed:
+            raise TFLabError(f"{len(self.distortion)} distortion coefficients; OpenCV has 4, 5, 8")
+
+    @property
+    def K(self) -> np.ndarray:
+        """The camera matrix, float64 [3, 3]."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+    @property
+    def distorted(self) -> bool:
+        """Whether straight lines are bent."""
+        return any(self.distortion)
+
+    def resized(self, size: tuple[int, int]) -> Camera:
+        """The camera of the images after resizing them."""
+        sx, sy = size[0] / self.size[0], size[1] / self.size[1]
+        cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
+        return Camera(
+            size, self.fx * sx, self.fy * sy, cx, cy, self.distortion, self.fisheye
+        )  # distortion acts on normalised coordinates: it stays
+
+    def pinhole(self, size: tuple[int, int]) -> Camera:
+        """A camera without distortion of (width, height) ``size``, all of whose pixels it sees.
+
+        Raises:
+            TFLabError: the distortion leaves no such camera.
+        """
+        if not self.distorted:
+            return Camera(size, *_intrinsics(self.resized(size).K))
+        K, _, coefficients = self._opencv()
+        if self.fisheye:
+            new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
+                K, coefficients, self.size, np.eye(3), balance=0.0
+            )
+        else:
+            new, _ = cv2.getOptimalNewCameraMatrix(K, coefficients, self.size, alpha=0)
+        zoom = new[[0, 1], [0, 1]] / K[[0, 1], [0, 1]]
+        if not ((zoom > 1 / MAX_ZOOM) & (zoom < MAX_ZOOM)).all():
+            raise TFLabError(f"the lens distortion {self.distortion} makes no sense; check it")
+        return Camera(self.size, *_intrinsics(new)).resized(size)
+
+    def _opencv(self) -> tuple[np.ndarray, bool, np.ndarray]:
+        return self.K, self.fisheye, np.array(self.distortion or (0.0,) * 4, np.float64)
+
+
+def camera_of(K: np.ndarray, size: tuple[int, int]) -> Camera:
+    """The pinhole camera of a matrix [3, 3].
+
+    Raises:
+        TFLabError: the matrix is not one, or its pixels are skewed.
+    """
+    shaped = np.isfinite(K).all() and np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
+    if not shaped or K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise TFLabError("not a camera matrix (fx, fy must be positive)")
+    if abs(K[0, 1]) > 1e-3 * K[0, 0]:
+        raise TFLabError(f"the pixels are skewed ({K[0, 1]:g}); only rectangular ones are known")
+    return Camera(size, *_intrinsics(K))
+
+
+def _intrinsics(K: np.ndarray) -> tuple[float, float, float, float]:
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def rectify_image(image: np.ndarray, camera: Camera, pinhole: Camera) -> np.ndarray:
+    """An image uint8 [H, W, 3] of ``camera`` as ``pinhole`` at its place would take it."""
+    if camera == pinhole:
+        return image
+    if not camera.distorted:  # only the size differs
+        return np.asarray(cv2.resize(image, pinhole.size, interpolation=cv2.INTER_AREA))
+    maps = _maps(camera, pinhole)
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def register_depth(
+    depth: np.ndarray, camera: Camera, pinhole: Camera, pinhole_T_camera: np.ndarray | None = None
+) -> np.ndarray:
+    """A depth map float32 [h, w] (camera z, metres, 0 unknown) as ``pinhole`` would measure it.
+
+    Every pixel of the result is one reading, never a mean of two.
+
+    Args:
+        depth: of ``camera``.
+        camera: the depth camera, maybe with distortion.
+        pinhole: the colour camera.
+        pinhole_T_camera: [4, 4], where the depth camera is; None: at the colour camera's place.
+    """
+    if camera == pinhole and pinhole_T_camera is None:
+        return depth
+    if pinhole_T_camera is None:
+        maps = _maps(camera, pinhole)
+        return np.asarray(
+            cv2.remap(depth, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+        )
+    straight = camera.pinhole(camera.size) if camera.distorted else camera
+    depth = register_depth(depth, camera, straight)
+    # at the depth's own density, so that the readings leave no holes
+    scale = min(1.0, depth.shape[1] / pinhole.size[0], depth.shape[0] / pinhole.size[1])
+    size = (max(1, round(pinhole.size[0] * scale)), max(1, round(pinhole.size[1] * scale)))
+    moved = _reproject(depth, straight, pinhole.resized(size), pinhole_T_camera)
+    return np.asarray(cv2.resize(moved, pinhole.size, interpolation=cv2.INTER_NEAREST))
+
+
+def _reproject(
+    depth: np.ndarray, camera: Camera, target: Camera, target_T_camera: np.ndarray
+) -> np.ndarray:
+    """Readings moved into another camera; where several meet, the nearest stays."""
+    row, column = np.nonzero(depth > 0)
+    z = depth[row, column].astype(np.float64)
+    x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
+    points = np.stack([x, y, z], 1) @ target_T_camera[:3, :3].T + target_T_camera[:3, 3]
+    points = points[points[:, 2] > 1e-6]
+    u = np.round(points[:, 0] / points[:, 2] * target.fx + target.cx)
+    v = np.round(points[:, 1] / points[:, 2] * target.fy + target.cy)
+    width, height = target.size
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    moved = np.full((height, width), np.inf, np.float32)
+    pixel = (v[inside].astype(int), u[inside].astype(int))
+    np.minimum.at(moved, pixel, points[inside, 2].astype(np.float32))
+    return np.where(np.isfinite(moved), moved, 0).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def _maps(camera: Camera, pinhole: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Where in the source image every pixel of the pinhole image lies: float32 [H, W], twice."""
+    K, fisheye, coefficients = camera._opencv()
+    undistort = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    maps = undistort(K, coefficients, np.eye(3), pinhole.K, pinhole.size, cv2.CV_32FC1)
+    return maps[0], maps[1]

@@ -1,0 +1,46 @@
+"""One room in every source's own layout: the same cameras, images, depth and mesh."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from layouts import LAYOUTS, room_frames
+from tf_lab.checkpoint import load_network, shipped_checkpoint
+from tf_lab.data.capture import Capture
+from tf_lab.data.readers import open_capture
+from tf_lab.online.reconstructor import ReconstructionSettings
+from tf_lab.scoring import TestSettings, reconstruct
+
+every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))
+LOSSY = ("arkit", "video")  # their images are coded with loss
+NO_DEPTH = ("colmap", "arkit", "video")
+
+
+def opened(layout: str, tmp_path: Path) -> Capture:
+    module = LAYOUTS[layout]
+    return open_capture(module.write(tmp_path / "room", room_frames()), **module.OPTIONS)
+
+
+@every_layout
+def test_the_layout_is_recognised_and_gives_the_same_capture(layout: str, tmp_path: Path) -> None:
+    capture, frames = opened(layout, tmp_path), room_frames()
+    assert len(capture.frames) == len(frames)
+    assert capture.skipped == []
+    expected = np.stack([frame.world_T_cam for frame in frames])
+    np.testing.assert_allclose(capture.world_T_cam, expected, atol=1e-5)
+    np.testing.assert_allclose(capture.K, np.stack([frame.K for frame in frames]), atol=1e-5)
+    for i in range(0, len(frames), 5):
+        difference = np.abs(capture.image(i).astype(float) - frames[i].image)
+        assert difference.mean() < (4.0 if layout in LOSSY else 0.01)
+        depth, truth = capture.depth(i), frames[i].depth
+        if layout in NO_DEPTH:
+            assert depth is None
+        else:
+            np.testing.assert_allclose(depth, truth, atol=0.0011)
+
+
+def mesh_vertices(capture: Capture) -> np.ndarray:
+    network, _ = load_network(shipped_checkpoint())
+    settings = TestSettings(ReconstructionSettings(resolution=0.05), keyframe_distance=0.0)
+    return np.asarray(reconstruct(network, capture, settings).mesh.vertices)
