@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -12,6 +13,7 @@ from typing import Protocol
 import numpy as np
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.data.lens import Camera, camera_of, rectify_image, register_depth
@@ -222,6 +224,34 @@ def parse_pose(text: str) -> np.ndarray:
     pose = np.eye(4)
     pose.flat[: len(words)] = [float(word) for word in words]
     return pose
+
+
+def pose_of_quaternion(
+    quaternion_wxyz: Sequence[float], translation: Sequence[float]
+) -> np.ndarray:
+    """A rigid transform [4, 4] from a quaternion (w, x, y, z) of any length and a translation.
+
+    Raises:
+        ValueError: the quaternion has no length, or a number is NaN or infinite.
+    """
+    numbers = np.array([*quaternion_wxyz, *translation], np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError("NaN or infinity in the pose (frame lost)")
+    w, x, y, z = numbers[:4] / (np.abs(numbers[:4]).max() or 1.0)  # squares of any size are finite
+    if math.hypot(w, x, y, z) == 0:
+        raise ValueError("a quaternion of zeros is no rotation")
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
+    pose[:3, 3] = numbers[4:]
+    return pose
+
+
+def opencv_of_opengl(world_T_cam: np.ndarray) -> np.ndarray:
+    """A pose [4, 4] of a camera with x right, y up, z back, for one with x right, y down, z front.
+
+    The camera stays where it is; ARKit, Blender, NeRF and nerfstudio have OpenGL's axes.
+    """
+    return world_T_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def read_intrinsics(path: Path, size: tuple[int, int]) -> Camera:
