@@ -19,6 +19,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+COARSE, FINE, CHUNK = 0.30, 0.10, 1.5  # metres; the paper's v_c, v_f and chunk edge
+
 
 def transform(b_T_a: Tensor, points: Tensor) -> Tensor:
     """Points [..., P, 3] of frame a, in frame b, by the rigid transforms [..., 4, 4]."""

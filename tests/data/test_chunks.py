@@ -19,9 +19,10 @@ from tf_lab.data.chunks import (
     ChunkSettings,
     ChunkStream,
 )
-from tf_lab.data.groundtruth import CHUNK, COARSE, FINE, GroundTruth
+from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
+from tf_lab.geometry import CHUNK, COARSE, FINE
 
 NEAR, FAR = 0.3, 5.0
 SMALL = ChunkSettings(chunks=2, images=3, points=64)

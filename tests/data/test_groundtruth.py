@@ -10,14 +10,11 @@ import trimesh
 from torch import Tensor
 
 import box_room
+from tf_lab.data.chunk_weights import EMPTY_SHARE, chunk_candidates
 from tf_lab.data.groundtruth import (
-    COARSE,
-    EMPTY_SHARE,
-    FINE,
     MAX_DISTANCE,
     GroundTruth,
     GroundTruthSettings,
-    chunk_candidates,
     fuse_capture,
     signed_distance,
     surface_distance,
@@ -27,7 +24,7 @@ from tf_lab.data.groundtruth import (
 from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.data.tsdf import TSDF
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid
+from tf_lab.geometry import COARSE, FINE, VoxelGrid
 
 VOXEL = GroundTruthSettings().voxel
 TRUNCATION = GroundTruthSettings().truncation
@@ -310,5 +307,5 @@ def test_readings_beyond_far_do_not_widen_the_volume(tmp_path: Path) -> None:
     pose = box_room.look(np.zeros(3), 0.0, 0.0)
     frame = Frame("a", np.zeros((60, 80, 3), np.uint8), box_room.intrinsics(), pose, depth)
     scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
-    grid = fuse_capture(scene, GroundTruthSettings()).grid
+    grid, _ = fuse_capture(scene, GroundTruthSettings())
     assert grid.origin[0] + grid.voxel * grid.shape[0] < 2.4

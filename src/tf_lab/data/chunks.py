@@ -12,10 +12,19 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
-from tf_lab.data.groundtruth import CHUNK, COARSE, FINE, GroundTruth
+from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project, rotation_about_z
+from tf_lab.geometry import (
+    CHUNK,
+    COARSE,
+    FINE,
+    VoxelGrid,
+    in_view,
+    invert_pose,
+    project,
+    rotation_about_z,
+)
 
 FINE_GRID = VoxelGrid((0.0, 0.0, 0.0), FINE, (15, 15, 15))
 # one voxel of margin, so that the refinement of the chunk's border sees what lies beyond it

@@ -13,7 +13,9 @@ Layout of a ``groundtruth`` directory::
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,15 +26,15 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from tf_lab.data.capture import Capture
-from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse
+from tf_lab.data.chunk_weights import Structure, chunk_candidates
+from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse_in_slabs, join, slabs
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
+from tf_lab.geometry import COARSE, VoxelGrid, in_view, invert_pose, project
 
-VERSION = 2  # changes whenever the output for the same depth does
-EMPTY_SHARE = 0.2
-MAX_DISTANCE = 0.5  # metres, largest value in distance.npy
+VERSION = 3  # changes whenever the output for the same depth does
+MAX_DISTANCE = 0.4  # metres, largest value in distance.npy
 MAX_READING = 10.0  # metres, farthest depth that counts as seen
-COARSE, FINE, CHUNK = 0.30, 0.10, 1.5  # metres; the paper's v_c, v_f and chunk edge
+MAX_VOXELS = 4_000_000_000  # a larger volume is no indoor scene: some pose is wrong
 
 
 @dataclass(frozen=True)
@@ -44,32 +46,53 @@ class GroundTruthSettings:
     far: float = 6.0
 
 
-def depth_maps(capture: Capture, indices: range | list[int]) -> Iterator[Tensor]:
-    """The depth maps [h, w] of some frames, one at a time.
+class DepthMaps(Sequence[Tensor]):
+    """The depth maps [h, w] of a capture's frames, read when asked for; beyond ``far``: 0.
 
     Raises:
-        TFLabError: a frame has no depth.
+        TFLabError: on asking for a frame that has no depth.
     """
-    for i in indices:
-        depth = capture.depth(i)
+
+    def __init__(self, capture: Capture, frames: Sequence[int], far: float = MAX_READING) -> None:
+        self.capture, self.frames, self.far = capture, frames, far
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, i: int) -> Tensor:  # type: ignore[override]
+        """The depth map of the i-th of the frames."""
+        depth = self.capture.depth(self.frames[i])
         if depth is None:
-            raise TFLabError(f"{capture.name}: frame {capture.frames[i]} has no depth")
-        yield torch.from_numpy(depth)
+            name = self.capture.frames[self.frames[i]]
+            raise TFLabError(f"{self.capture.name}: frame {name} has no depth")
+        return torch.from_numpy(np.where(depth > self.far, np.float32(0), depth))
 
 
-def fuse_capture(capture: Capture, settings: GroundTruthSettings) -> TSDF:
-    """The TSDF of all depth maps of a capture, on a grid that holds all that is near a surface."""
-    n = range(len(capture.frames))
+def fuse_capture(
+    capture: Capture,
+    settings: GroundTruthSettings,
+    memory: int = 2**30,
+    device: torch.device | str = "cpu",
+) -> tuple[VoxelGrid, Iterator[tuple[int, TSDF]]]:
+    """All depth maps of a capture fused on a grid that holds all that is near a surface.
+
+    Returns:
+        The grid, and its slabs as `fuse_in_slabs` gives them.
+    """
     K = torch.from_numpy(capture.K).float()
     poses = torch.from_numpy(capture.world_T_cam).float()
-
-    def depths() -> Iterator[Tensor]:
-        return (torch.where(d > settings.far, 0.0, d) for d in depth_maps(capture, n))
-
+    depths = DepthMaps(capture, range(len(capture.frames)), settings.far)
     margin = max(settings.truncation, COARSE) + settings.voxel
-    lower, upper = bounds_of(depths(), K, poses, margin)
+    lower, upper = bounds_of(depths, K, poses, margin)
     grid = VoxelGrid.covering(lower.tolist(), upper.tolist(), settings.voxel)
-    return fuse(depths(), K, poses, grid, settings.truncation, settings.far)
+    if math.prod(grid.shape) > MAX_VOXELS:
+        size = " x ".join(f"{n * grid.voxel:.0f}" for n in grid.shape)
+        raise TFLabError(
+            f"{capture.name}: the depth readings span {size} m; the poses or the depth unit "
+            "must be wrong"
+        )
+    fused = fuse_in_slabs(depths, K, poses, grid, settings.truncation, settings.far, memory, device)
+    return grid, fused
 
 
 def signed_distance(tsdf: TSDF) -> Tensor:
@@ -86,79 +109,70 @@ def signed_distance(tsdf: TSDF) -> Tensor:
 
 def surface_distance(mesh: trimesh.Trimesh, grid: VoxelGrid) -> Tensor:
     """Distance [X, Y, Z] in metres from voxel centres to the nearest mesh vertex, capped."""
-    tree = cKDTree(np.asarray(mesh.vertices))
+    return _surface_distance(cKDTree(np.asarray(mesh.vertices)), grid)
+
+
+def _surface_distance(vertices: cKDTree, grid: VoxelGrid) -> Tensor:
     centers = grid.centers().reshape(-1, 3).numpy()
-    distance, _ = tree.query(centers, distance_upper_bound=MAX_DISTANCE)
+    distance, _ = vertices.query(centers, distance_upper_bound=MAX_DISTANCE)
     return torch.from_numpy(np.minimum(distance, MAX_DISTANCE)).float().reshape(grid.shape)
 
 
-def chunk_candidates(
-    mesh: trimesh.Trimesh, grid: VoxelGrid, stride: float = COARSE
-) -> tuple[np.ndarray, np.ndarray]:
-    """Chunk centres and their sampling weights: fewer in free space, more with furniture.
-
-    Without labels, structure is told by shape: surface in columns that are covered over most of
-    the scene's height is wall, surface near the lowest or highest level is floor or ceiling; what
-    remains is furniture. Weights: 1 with structure only, rising to 3 with the share of furniture.
-    Chunks without surface, in the scene or up to a chunk beyond it (where frusta reach at test
-    time), get little: 0.15, and together at most EMPTY_SHARE of all others.
-
-    Returns:
-        centers float32 [M, 3] in metres, weight float32 [M].
-    """
-    vertices = np.asarray(mesh.vertices)
-    lower, upper = vertices.min(0), vertices.max(0)
-    cell = np.floor((vertices[:, :2] - lower[:2]) / FINE).astype(int)
-    level = np.floor((vertices[:, 2] - lower[2]) / FINE).astype(int)
-    shape = (*(cell.max(0) + 1), level.max() + 1)
-    occupied = np.zeros(shape, bool)
-    occupied[cell[:, 0], cell[:, 1], level] = True
-    wall = occupied.sum(2) > 0.5 * shape[2]
-    floor, ceiling = np.quantile(vertices[:, 2], [0.02, 0.98])
-    flat = (vertices[:, 2] < floor + 0.15) | (vertices[:, 2] > ceiling - 0.15)
-    furniture = ~wall[cell[:, 0], cell[:, 1]] & ~flat
-
-    half = CHUNK / 2
-    axes = [np.arange(a - CHUNK, b + CHUNK, stride) for a, b in zip(lower, upper, strict=True)]
-    centers = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    # counts of vertices in the box around each centre, by the max norm
-    everything = cKDTree(vertices).query_ball_point(
-        centers, half, p=np.inf, return_length=True, workers=1
-    )
-    if furniture.any():
-        things = cKDTree(vertices[furniture]).query_ball_point(
-            centers, half, p=np.inf, return_length=True, workers=1
-        )
-    else:
-        things = np.zeros(len(centers), int)
-    some = (CHUNK / grid.voxel) ** 2 * 0.1  # a tenth of one plane through the chunk
-    share = np.minimum(things / (2 * some), 1.0)
-    weight = 1.0 + 2.0 * share
-    empty = everything < some
-    if not empty.all():
-        weight[empty] = min(EMPTY_SHARE * weight[~empty].sum() / max(1, empty.sum()), 0.15)
-    return centers.astype(np.float32), weight.astype(np.float32)
-
-
-def write_groundtruth(capture: Capture, directory: Path, settings: GroundTruthSettings) -> None:
+def write_groundtruth(
+    capture: Capture,
+    directory: Path,
+    settings: GroundTruthSettings,
+    mesh: trimesh.Trimesh | None = None,
+    structure: Structure | None = None,
+    memory: int = 2**30,
+    device: torch.device | str = "cpu",
+) -> None:
     """Fuse a capture's depth and write its ground truth (not atomic; see `files`).
+
+    Args:
+        capture: every frame with depth.
+        directory: is made.
+        settings: how to fuse.
+        mesh: the surface, where the source brings one; None: that of the fused depth.
+        structure: what of the surface is floor and wall, where the source says so.
+        memory: bytes that the fusion may take.
+        device: where to fuse.
 
     Raises:
         TFLabError: the depth maps give no surface.
     """
-    tsdf = fuse_capture(capture, settings)
-    mesh = extract_mesh(tsdf)
-    if not len(mesh.faces):
-        raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
+    grid, fused = fuse_capture(capture, settings, memory, device)
     directory.mkdir(parents=True, exist_ok=True)
-    mesh.export(directory / "mesh_gt.ply")
-    np.save(directory / "occlusion_mask.npy", (tsdf.weight == 0).numpy().astype(np.uint8))
-    np.savetxt(directory / "world2grid.txt", torch.linalg.inv(tsdf.grid.world_T_index).numpy())
-    np.save(directory / "sdf.npy", signed_distance(tsdf).numpy().astype(np.float16))
-    distance = surface_distance(mesh, tsdf.grid)
-    np.save(directory / "distance.npy", distance.numpy().astype(np.float16))
-    centers, weight = chunk_candidates(mesh, tsdf.grid)
+    meshes = []
+    with (
+        _volume(directory / "occlusion_mask.npy", grid, np.uint8) as occlusion,
+        _volume(directory / "sdf.npy", grid, np.float16) as sdf,
+    ):
+        for rows, slab in fused:
+            occlusion((slab.weight == 0)[:rows])
+            sdf(signed_distance(slab)[:rows])
+            meshes.append(extract_mesh(slab))
+    surface = join(meshes) if mesh is None else mesh
+    if not len(surface.faces):
+        raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
+    surface.export(directory / "mesh_gt.ply")
+    np.savetxt(directory / "world2grid.txt", torch.linalg.inv(grid.world_T_index).numpy())
+    tree = cKDTree(np.asarray(surface.vertices))
+    with _volume(directory / "distance.npy", grid, np.float16) as distance:
+        for first, last in slabs(grid, memory):
+            part = grid.block((first, 0, 0), (last, *grid.shape[1:]))
+            distance(_surface_distance(tree, part))
+    centers, weight = chunk_candidates(surface, grid, structure=structure)
     np.savez(directory / "chunks.npz", centers=centers, weight=weight)
+
+
+@contextmanager
+def _volume(path: Path, grid: VoxelGrid, dtype: type) -> Iterator[Callable[[Tensor], None]]:
+    """A .npy file of the grid's shape; the function given appends rows [n, Y, Z] to it."""
+    header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": tuple(grid.shape)}
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        yield lambda rows: rows.numpy().astype(dtype).tofile(file)
 
 
 def views_per_point(
@@ -174,7 +188,7 @@ def views_per_point(
     """
     vertices = torch.from_numpy(np.asarray(mesh.vertices)).float()
     counts = torch.zeros(len(vertices), dtype=torch.int64)
-    for i, depth in zip(frames, depth_maps(capture, frames), strict=True):
+    for i, depth in zip(frames, DepthMaps(capture, frames), strict=True):
         pose = torch.from_numpy(capture.world_T_cam[i]).float()
         uv, z = project(vertices, torch.from_numpy(capture.K[i]).float(), invert_pose(pose))
         size = (depth.shape[1], depth.shape[0])

@@ -1,17 +1,24 @@
-"""Volumetric fusion of depth maps into a truncated signed distance field (Curless & Levoy 1996)."""
+"""Volumetric fusion of depth maps into a truncated signed distance field (Curless & Levoy 1996).
+
+A large scene is fused in slabs along x, so that memory is bounded by a budget and not by the scene.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid, invert_pose, pixel_directions, project, transform
+from tf_lab.geometry import VoxelGrid, invert_pose, pixel_directions, transform
 from tf_lab.isosurface import mesh_of
+
+BYTES = 64  # a voxel of a slab while it is fused: the sums, and a frame's temporaries
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ def unproject(depth: Tensor, K: Tensor, world_T_cam: Tensor) -> Tensor:
 
 
 def bounds_of(
-    depths: Iterable[Tensor], K: Tensor, world_T_cam: Tensor, margin: float, stride: int = 4
+    depths: Sequence[Tensor], K: Tensor, world_T_cam: Tensor, margin: float, stride: int = 4
 ) -> tuple[Tensor, Tensor]:
     """The box (lower [3], upper [3]) around all depth readings, widened by a margin in metres.
 
@@ -60,32 +67,78 @@ def bounds_of(
 
 
 def fuse(
-    depths: Iterable[Tensor],
+    depths: Sequence[Tensor],
     K: Tensor,
     world_T_cam: Tensor,
     grid: VoxelGrid,
     truncation: float,
     far: float,
+    rows: tuple[int, int] | None = None,
+    device: torch.device | str = "cpu",
 ) -> TSDF:
     """Fuse depth maps [h, w] (camera z, metres; 0 unknown) with equal weights.
 
     Args:
-        depths: N depth maps.
+        depths: N depth maps; only those whose camera may see the rows are asked for.
         K: [N, 3, 3] intrinsics of the depth maps.
         world_T_cam: [N, 4, 4].
         grid: where to fuse.
         truncation: metres.
         far: readings beyond this depth (metres) are not used.
+        rows: first and last (exclusive) index along x, None for all; every voxel gets the same
+            value, whatever the rows it is fused with.
+        device: where to compute; the result is on the CPU.
     """
-    distance = torch.zeros(grid.shape)
-    weight = torch.zeros(grid.shape)
-    for i, depth in enumerate(depths):
+    first, last = rows or (0, grid.shape[0])
+    shape = (last - first, *grid.shape[1:])
+    total, weight = torch.zeros(shape, device=device), torch.zeros(shape, device=device)
+    for i in range(len(depths)):
+        pose = world_T_cam[i]
+        if _frustum_block(grid, (first, last), K[i], pose, None, far + truncation) is None:
+            continue
+        depth = depths[i]
         depth = torch.where(depth > far, torch.zeros_like(depth), depth)
-        block = _frustum_block(grid, depth, K[i], world_T_cam[i], truncation)
+        size = (depth.shape[1], depth.shape[0])
+        reach = float(depth.max())
+        if reach <= 0:
+            continue
+        block = _frustum_block(grid, (first, last), K[i], pose, size, reach + truncation)
         if block is not None:
-            _integrate(distance[block], weight[block], _centers(grid, block), depth,
-                       K[i], invert_pose(world_T_cam[i]), truncation)  # fmt: skip
-    return TSDF(grid, distance / weight.clamp(min=1), weight, truncation)
+            x, y, z = block
+            part = (slice(x.start - first, x.stop - first), y, z)
+            signed, seen = _measure(grid, block, depth.to(device), K[i], pose, truncation)
+            total[part] += signed
+            weight[part] += seen
+    block_grid = grid.block((first, 0, 0), (last, *grid.shape[1:]))
+    return TSDF(block_grid, (total / weight.clamp(min=1)).cpu(), weight.cpu(), truncation)
+
+
+def slabs(grid: VoxelGrid, memory: int) -> list[tuple[int, int]]:
+    """Rows (first, last exclusive) along x that can each be fused within ``memory`` bytes."""
+    n, y, z = grid.shape
+    step = max(1, memory // (BYTES * y * z) - 1)  # each is fused with the next one's first row
+    return [(first, min(first + step, n)) for first in range(0, n, step)]
+
+
+def fuse_in_slabs(
+    depths: Sequence[Tensor],
+    K: Tensor,
+    world_T_cam: Tensor,
+    grid: VoxelGrid,
+    truncation: float,
+    far: float,
+    memory: int = 2**30,
+    device: torch.device | str = "cpu",
+) -> Iterator[tuple[int, TSDF]]:
+    """`fuse` in slabs along x within ``memory`` bytes.
+
+    Yields:
+        How many rows are this slab's own, and the slab: those rows and (but for the last) the first
+        of the next slab, so that marching cubes leaves no gap between them.
+    """
+    for first, last in slabs(grid, memory):
+        rows = (first, min(last + 1, grid.shape[0]))
+        yield last - first, fuse(depths, K, world_T_cam, grid, truncation, far, rows, device)
 
 
 def extract_mesh(tsdf: TSDF) -> trimesh.Trimesh:
@@ -93,62 +146,84 @@ def extract_mesh(tsdf: TSDF) -> trimesh.Trimesh:
     return mesh_of(-tsdf.distance, tsdf.weight > 0, tsdf.grid)
 
 
+def join(meshes: Sequence[trimesh.Trimesh], tolerance: float = 1e-5) -> trimesh.Trimesh:
+    """The meshes of neighbouring slabs as one; vertices closer than ``tolerance`` metres merge."""
+    meshes = [mesh for mesh in meshes if len(mesh.faces)]
+    if len(meshes) < 2:
+        return meshes[0] if meshes else trimesh.Trimesh()
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([m.faces + o for m, o in zip(meshes, offsets[:-1], strict=True)])
+    lattice = np.round(vertices / tolerance).astype(np.int64)
+    _, first, inverse = np.unique(lattice, axis=0, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[faces]
+    a, b, c = faces.T
+    return trimesh.Trimesh(vertices[first], faces[(a != b) & (b != c) & (c != a)], process=False)
+
+
 def _frustum_block(
-    grid: VoxelGrid, depth: Tensor, K: Tensor, world_T_cam: Tensor, truncation: float
+    grid: VoxelGrid,
+    rows: tuple[int, int],
+    K: Tensor,
+    world_T_cam: Tensor,
+    size: tuple[int, int] | None,
+    reach: float,
 ) -> tuple[slice, slice, slice] | None:
-    """The part of the grid that the frame can reach, as slices; None if there is none."""
-    reach = float(depth.max()) + truncation
-    if reach <= truncation:
-        return None
-    height, width = depth.shape
-    directions = pixel_directions(K, (width, height))[[0, 0, -1, -1], [0, -1, 0, -1]]
-    corners = torch.cat([world_T_cam[None, :3, 3], transform(world_T_cam, directions * reach)])
-    index = grid.to_index(corners)
+    """What of the grid's rows a camera can see up to a depth, as slices; None if nothing.
+
+    Without an image size: what is within the ball that holds any image's frustum.
+    """
+    eye = world_T_cam[None, :3, 3]
+    if size is None:  # as if the image's corner were 60 degrees off the optical axis
+        index = grid.to_index(torch.cat([eye - 2 * reach, eye + 2 * reach]))
+    else:
+        directions = pixel_directions(K, size)[[0, 0, -1, -1], [0, -1, 0, -1]]
+        index = grid.to_index(torch.cat([eye, transform(world_T_cam, directions * reach)]))
     low = (index.amin(0).floor().long() - 1).clamp(min=0).tolist()
     high = (index.amax(0).ceil().long() + 2).tolist()
     high = [min(h, n) for h, n in zip(high, grid.shape, strict=True)]
+    low[0], high[0] = max(low[0], rows[0]), min(high[0], rows[1])
     if any(a >= b for a, b in zip(low, high, strict=True)):
         return None
     return (slice(low[0], high[0]), slice(low[1], high[1]), slice(low[2], high[2]))
 
 
-def _centers(grid: VoxelGrid, block: tuple[slice, slice, slice]) -> Tensor:
-    axes = [
-        o + (torch.arange(s.start, s.stop) + 0.5) * grid.voxel
-        for o, s in zip(grid.origin, block, strict=True)
-    ]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
-
-
-def _integrate(
-    distance: Tensor,
-    weight: Tensor,
-    centers: Tensor,
+def _measure(
+    grid: VoxelGrid,
+    block: tuple[slice, slice, slice],
     depth: Tensor,
     K: Tensor,
-    cam_T_world: Tensor,
+    world_T_cam: Tensor,
     truncation: float,
-) -> None:
-    """Add one frame to the blocks ``distance`` (a running sum) and ``weight`` [x, y, z]."""
+) -> tuple[Tensor, Tensor]:
+    """What one frame says of a block: clipped signed distance [x, y, z] (0 unseen), bool seen.
+
+    The projection is affine in the voxel index before the division, so it is a sum of one vector an
+    axis. Sums of three numbers, unlike matrix products, do not depend on the block they are in.
+    """
     height, width = depth.shape
-    uv, z = project(centers.reshape(-1, 3), K, cam_T_world)
-    pixel = uv.round()
-    inside = (
-        (pixel[:, 0] >= 0)
-        & (pixel[:, 0] < width)
-        & (pixel[:, 1] >= 0)
-        & (pixel[:, 1] < height)
-        & (z > 0)
+    pixels_T_world = K.double() @ invert_pose(world_T_cam.double())[:3]
+    # image coordinates as grid_sample wants them: -1 and 1 are the image's borders
+    normalise = torch.tensor(
+        [[2 / width, 0, 1 / width - 1], [0, 2 / height, 1 / height - 1], [0, 0, 1]],
+        dtype=torch.float64,
     )
-    index = inside.nonzero().squeeze(1)
-    column, row = pixel[index].long().unbind(-1)
-    reading = depth[row, column]
-    signed = reading - z[index]
-    keep = (reading > 0) & (signed > -truncation)
-    index, signed = index[keep], signed[keep].clamp(max=truncation)
-    flat_d, flat_w = distance.reshape(-1), weight.reshape(-1)
-    flat_d[index] += signed
-    flat_w[index] += 1
-    if not distance.is_contiguous():  # reshape copied: write back
-        distance.copy_(flat_d.view_as(distance))
-        weight.copy_(flat_w.view_as(weight))
+    rows = normalise @ pixels_T_world
+    axes = [
+        o + (torch.arange(s.start, s.stop, dtype=torch.float64) + 0.5) * grid.voxel
+        for o, s in zip(grid.origin, block, strict=True)
+    ]
+
+    def affine(row: Tensor) -> Tensor:
+        x, y, z = ((row[d] * axes[d]).float().to(depth.device) for d in range(3))
+        return ((x + row[3].float().to(x.device))[:, None] + y)[..., None] + z
+
+    z = affine(rows[2])
+    inverse = 1 / z.clamp(min=1e-6)  # behind the camera: far off the image
+    where = torch.stack([affine(rows[0]) * inverse, affine(rows[1]) * inverse], -1)
+    reading = F.grid_sample(
+        depth[None, None], where.view(1, 1, -1, 2), mode="nearest", align_corners=False
+    ).view(z.shape)  # 0 off the image
+    signed = reading - z
+    seen = (reading > 0) & (signed > -truncation)
+    return torch.where(seen, signed.clamp(max=truncation), 0.0), seen

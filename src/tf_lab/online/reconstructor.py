@@ -16,9 +16,8 @@ import torch
 import trimesh
 from torch import Tensor
 
-from tf_lab.data.groundtruth import COARSE, FINE
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid, pixel_directions, transform
+from tf_lab.geometry import COARSE, FINE, VoxelGrid, pixel_directions, transform
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
 from tf_lab.online.mesher import cells_per_voxel, color_vertices, crossing_voxels, extract
