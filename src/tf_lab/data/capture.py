@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 import numpy as np
 from PIL import Image
@@ -49,11 +49,29 @@ def read_image(path: Path) -> np.ndarray:
     Raises:
         TFLabError: the file is missing, truncated or not an image.
     """
+    return decode_image(path, path)
+
+
+def decode_image(
+    source: Path | IO[bytes], name: object, size: tuple[int, int] | None = None
+) -> np.ndarray:
+    """An encoded image (a file or a stream) as uint8 [H, W, 3] RGB.
+
+    Args:
+        source: where it is.
+        name: how messages call it.
+        size: the (width, height) it must have, checked before anything is decoded.
+
+    Raises:
+        TFLabError: it is missing, truncated, not an image, or of another size.
+    """
     try:
-        with Image.open(path) as image:
+        with Image.open(source) as image:
+            if size is not None and image.size != size:
+                raise ValueError(f"it is {image.width}x{image.height}, not {size[0]}x{size[1]}")
             return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError, ValueError) as error:
-        raise TFLabError(f"{path}: cannot be read as an image ({error})") from error
+    except Exception as error:  # damaged data makes Pillow raise nearly anything
+        raise TFLabError(f"{name}: cannot be read as an image ({error})") from error
 
 
 def read_depth(path: Path, scale: float = 1000.0) -> np.ndarray:
@@ -69,7 +87,7 @@ def read_depth(path: Path, scale: float = 1000.0) -> np.ndarray:
     try:
         with Image.open(path) as image:
             raw = np.asarray(image)
-    except (OSError, SyntaxError, ValueError) as error:
+    except Exception as error:  # damaged data makes Pillow raise nearly anything
         raise TFLabError(f"{path}: cannot be read as a depth image ({error})") from error
     if raw.ndim != 2:
         raise TFLabError(f"{path}: a depth image has one channel, this one has {raw.shape[-1]}")

@@ -284,7 +284,7 @@ def image_size(paths: Iterable[Path]) -> tuple[int, int]:
         try:
             with Image.open(last) as image:
                 return image.size
-        except OSError:
+        except Exception:  # damaged data makes Pillow raise nearly anything
             continue  # the capture reports this file when its image is asked for
     raise TFLabError(f"{last}: not one of the colour images can be read; use JPEG or PNG")
 
