@@ -7,12 +7,12 @@ user of that source has to add to `open_capture`.
 from functools import lru_cache
 from types import ModuleType
 
-from layouts import plain, seven_scenes
+from layouts import plain, scannet, sens, seven_scenes, tum
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame
 
 LAYOUTS: dict[str, ModuleType] = {
-    module.__name__.split(".")[-1]: module for module in (plain, seven_scenes)
+    module.__name__.split(".")[-1]: module for module in (plain, seven_scenes, scannet, sens, tum)
 }
 
 

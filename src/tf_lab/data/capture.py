@@ -91,5 +91,9 @@ def read_depth(path: Path, scale: float = 1000.0) -> np.ndarray:
         raise TFLabError(f"{path}: cannot be read as a depth image ({error})") from error
     if raw.ndim != 2:
         raise TFLabError(f"{path}: a depth image has one channel, this one has {raw.shape[-1]}")
-    raw = np.where(raw >= 65535, 0, raw)
-    return (raw / scale).astype(np.float32)
+    return metres(raw, scale)
+
+
+def metres(raw: np.ndarray, scale: float) -> np.ndarray:
+    """16-bit depth [H, W] of ``scale`` units a metre as float32 metres; see `read_depth`."""
+    return (np.where(raw >= 65535, 0, raw) / scale).astype(np.float32)

@@ -17,7 +17,7 @@ import numpy as np
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.gravity import align, find_down
-from tf_lab.data.readers import plain, seven_scenes
+from tf_lab.data.readers import plain, scannet, seven_scenes, tum
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -38,7 +38,7 @@ class Reader(Protocol):
         ...
 
 
-READERS: tuple[Reader, ...] = (seven_scenes, plain)
+READERS: tuple[Reader, ...] = (seven_scenes, plain, scannet, tum)
 SCENE = "scene"
 
 
@@ -76,9 +76,14 @@ def open_capture(
     return _upright(_metric(readers[name].read(path), path, scale), path, gravity)
 
 
-def _detect(path: Path) -> str:
+def detect_format(path: Path) -> list[str]:
+    """The layouts that a folder or file may be of: none, one, or several to choose from."""
     found = [SCENE] if (path / "scene.json").is_file() else []
-    found += [reader.NAME for reader in READERS if reader.detect(path)]
+    return found + [reader.NAME for reader in READERS if reader.detect(path)]
+
+
+def _detect(path: Path) -> str:
+    found = detect_format(path)
     if len(found) > 1:
         raise TFLabError(f"{path}: may be {' or '.join(found)}; say which with format=")
     if not found:

@@ -1,0 +1,169 @@
+"""ScanNet: a scene's frames from its ``.sens`` stream or from what ScanNet's tool exported of it.
+
+::
+
+    scene0000_00.sens                 the stream itself (see `sens`), or the folder that holds it
+    color/0.jpg, depth/0.png          an export: colour; 16-bit millimetres, 0 = no reading
+    pose/0.txt                        4x4, camera to world; -inf: lost
+    intrinsic/intrinsic_color.txt     4x4, and intrinsic_depth.txt; extrinsic_color.txt and
+                                      extrinsic_depth.txt (the identity if missing)
+
+Depth has a camera of its own, and often another size than colour. The extrinsics lead from a camera
+to the frame common to both, so color_T_depth = inverse(extrinsic_color) extrinsic_depth; they are
+the identity in the published scans, which were calibrated. Where they are not, the pose is that of
+the depth camera, as in the authors' point clouds. The world is metric, its z axis points up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from tf_lab.data.lens import Camera, camera_of
+from tf_lab.data.readers.sens import open_sens
+from tf_lab.data.readers.source import (
+    ColorFile,
+    DepthFile,
+    Pixels,
+    SourceCapture,
+    SourceFrame,
+    collect,
+    image_files,
+    image_size,
+    parse_pose,
+    read_text,
+)
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import is_valid_pose
+
+NAME = "scannet"
+LAYOUT = "SCENE.sens, or color/, pose/, intrinsic/intrinsic_color.txt"
+DOWN = (0.0, 0.0, -1.0)
+
+
+def detect(path: Path) -> bool:
+    """Whether it is a stream, or a folder with one or with an export."""
+    if path.is_file():
+        return path.suffix.lower() == ".sens"
+    return _is_export(path) or any(path.glob("*.sens"))
+
+
+def read(path: Path) -> SourceCapture:
+    """The scene in ScanNet's world frame; of a folder with stream and export, the export.
+
+    Raises:
+        TFLabError: a part is missing or damaged, or no frame is usable.
+    """
+    if path.is_dir() and not _is_export(path):
+        streams = sorted(path.glob("*.sens"))
+        if len(streams) != 1:
+            found = f"{len(streams)} .sens files" if streams else f"neither of {LAYOUT}"
+            raise TFLabError(f"{path}: {found} in it; give the folder of one scene, or the file")
+        return _read_stream(path, streams[0])
+    return _read_export(path) if path.is_dir() else _read_stream(path, path)
+
+
+def _is_export(path: Path) -> bool:
+    parts = (path / "color", path / "pose")
+    return all(part.is_dir() for part in parts) and _intrinsics(path, "color").is_file()
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """Both cameras of a scene; color_T_depth [4, 4] is None where they are at one place."""
+
+    color: Camera
+    depth: Camera | None
+    color_T_depth: np.ndarray | None
+
+    def frame(
+        self, name: str, pose: np.ndarray, color: Pixels, depth: Pixels | None
+    ) -> SourceFrame:
+        if self.color_T_depth is not None and np.isfinite(pose).all():
+            pose = pose @ np.linalg.inv(self.color_T_depth)  # the colour camera's
+        if self.depth is None or depth is None:
+            return SourceFrame(name, self.color, pose, color)
+        return SourceFrame(name, self.color, pose, color, depth, self.depth, self.color_T_depth)
+
+
+def _camera(K: np.ndarray, size: tuple[int, int], where: str) -> Camera:
+    try:
+        return camera_of(K[:3, :3], size)
+    except TFLabError as error:
+        raise TFLabError(f"{where}: {error}") from error
+
+
+def _color_T_depth(color: np.ndarray, depth: np.ndarray, where: str) -> np.ndarray | None:
+    """From both extrinsics [4, 4]; None for the identity."""
+    for name, extrinsics in (("colour", color), ("depth", depth)):
+        if not is_valid_pose(torch.from_numpy(extrinsics)):
+            raise TFLabError(f"{where}: the {name} camera's extrinsics are not a rigid transform")
+    color_T_depth = np.linalg.inv(color) @ depth
+    return None if np.allclose(color_T_depth, np.eye(4), atol=1e-6) else color_T_depth
+
+
+def _read_stream(source: Path, path: Path) -> SourceCapture:
+    sens = open_sens(path)
+    header = sens.header
+    has_depth = header.depth_size != (0, 0)
+    rig = _Rig(
+        _camera(header.color_K, header.color_size, f"{path}, colour"),
+        _camera(header.depth_K, header.depth_size, f"{path}, depth") if has_depth else None,
+        _color_T_depth(header.color_extrinsics, header.depth_extrinsics, str(path)),
+    )
+    frames = [
+        rig.frame(str(i), frame.pose, frame.color, frame.depth)
+        for i, frame in enumerate(sens.frames)
+    ]
+    return collect(source, frames, [] if sens.missing is None else [sens.missing], DOWN)
+
+
+def _read_export(directory: Path) -> SourceCapture:
+    colors = {path.stem: path for path in image_files(directory / "color")}
+    folder = directory / "depth"
+    depths = {path.stem: path for path in image_files(folder)} if folder.is_dir() else {}
+    if not colors:
+        raise TFLabError(f"{directory / 'color'}: no JPEG or PNG image in it; export the scene")
+    color, depth = _export_camera(directory, "color", list(colors.values())), None
+    if depths:
+        depth = _export_camera(directory, "depth", list(depths.values()))
+    extrinsics = (_extrinsics(directory, "color"), _extrinsics(directory, "depth"))
+    rig = _Rig(color, depth, _color_T_depth(*extrinsics, str(directory / "intrinsic")))
+    posed = sorted(path.stem for path in (directory / "pose").glob("*.txt"))
+    skipped = [f"{name}: no colour image" for name in posed if name not in colors]
+    frames = []
+    for name, image in colors.items():
+        try:
+            pose = _read_matrix(directory / "pose" / f"{name}.txt")
+        except TFLabError as error:
+            skipped.append(f"{name}: {error}")
+            continue
+        file = DepthFile(depths[name]) if name in depths else None
+        frames.append(rig.frame(name, pose, ColorFile(image), file))
+    return collect(directory, frames, skipped, DOWN)
+
+
+def _intrinsics(directory: Path, camera: str) -> Path:
+    return directory / "intrinsic" / f"intrinsic_{camera}.txt"
+
+
+def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:
+    path = _intrinsics(directory, camera)
+    return _camera(_read_matrix(path), image_size(images), str(path))
+
+
+def _extrinsics(directory: Path, camera: str) -> np.ndarray:
+    path = directory / "intrinsic" / f"extrinsic_{camera}.txt"
+    return _read_matrix(path) if path.exists() else np.eye(4)
+
+
+def _read_matrix(path: Path) -> np.ndarray:
+    cure = "ScanNet's exporter writes 4x4 numbers there"
+    try:
+        return parse_pose(read_text(path, cure))
+    except ValueError as error:
+        raise TFLabError(f"{path}: {error}; {cure}") from error

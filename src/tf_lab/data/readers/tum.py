@@ -1,0 +1,181 @@
+"""A sequence of the TUM RGB-D benchmark, or of anyone who writes its layout.
+
+::
+
+    rgb.txt                     "timestamp rgb/FILE.png" a line, seconds
+    groundtruth.txt             "timestamp tx ty tz qx qy qz qw" a line, camera to world, metres
+    depth.txt                   "timestamp depth/FILE.png" a line (optional): 16-bit, 5000 units a
+                                metre, 0 = no reading, registered to the colour image
+    camera-intrinsics.txt       3x3, of undistorted images; or K.txt. Without them the published
+                                calibration of the freiburg1, 2 or 3 in the folder's name
+
+Lines that start with # are comments. A colour image gets the depth map and the pose of the nearest
+timestamps, at most 0.02 s away as in the benchmark's own tool; without a pose it is skipped,
+without depth it stays. The world is that of the motion capture, its z axis points up.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tf_lab.data.lens import Camera
+from tf_lab.data.readers.source import (
+    ColorFile,
+    DepthFile,
+    SourceCapture,
+    SourceFrame,
+    collect,
+    image_size,
+    pose_of_quaternion,
+    read_intrinsics,
+    read_text,
+)
+from tf_lab.errors import TFLabError
+
+NAME = "tum"
+LAYOUT = "rgb.txt, groundtruth.txt"
+DOWN = (0.0, 0.0, -1.0)
+DEPTH_SCALE = 5000.0  # units a metre
+MAX_GAP = 0.02  # seconds
+ROUNDING = 1e-6  # seconds; timestamps are written with six decimals
+INTRINSICS = ("camera-intrinsics.txt", "K.txt")
+
+_SIZE = (640, 480)
+_CALIBRATIONS = {  # of the colour cameras, as published; freiburg3's images are undistorted
+    "freiburg1": Camera(
+        _SIZE, 517.306408, 516.469215, 318.643040, 255.313989,
+        (0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
+    ),
+    "freiburg2": Camera(
+        _SIZE, 520.908620, 521.007327, 325.141442, 249.701764,
+        (0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
+    ),
+    "freiburg3": Camera(_SIZE, 535.4, 539.2, 320.1, 247.6),
+}  # fmt: skip
+
+
+def detect(directory: Path) -> bool:
+    """Whether the lists of images and poses are there."""
+    return all((directory / name).is_file() for name in ("rgb.txt", "groundtruth.txt"))
+
+
+def read(directory: Path) -> SourceCapture:
+    """The sequence in the world frame of its motion capture.
+
+    Raises:
+        TFLabError: a list is missing or damaged, no frame is usable, or the camera is unknown.
+    """
+    colors = _read_list(directory / "rgb.txt", "file")
+    poses = _read_list(directory / "groundtruth.txt", "tx ty tz qx qy qz qw")
+    depths = _Timeline([], [])
+    if (directory / "depth.txt").exists():
+        depths = _read_list(directory / "depth.txt", "file")
+    kept: dict[str, tuple[Path, np.ndarray, DepthFile | None]] = {}
+    skipped = []
+    for time, (file,) in zip(colors.times, colors.values, strict=True):
+        color = directory / file
+        try:
+            if color.stem in kept:
+                raise ValueError("a second image of that name")
+            if not _is_file(color):
+                raise ValueError(f"{color}: no such image")
+            pose = _pose(poses.nearest(time))
+        except ValueError as error:
+            skipped.append(f"{color.stem}: {error}")
+            continue
+        kept[color.stem] = color, pose, _depth(directory, depths.nearest(time))
+    if not kept:
+        return collect(directory, [], skipped)
+    camera = _camera(directory, image_size(color for color, _, _ in kept.values()))
+    frames = [
+        SourceFrame(name, camera, pose, ColorFile(color), depth)
+        for name, (color, pose, depth) in kept.items()
+    ]
+    return collect(directory, frames, skipped, DOWN)
+
+
+@dataclass(frozen=True)
+class _Timeline:
+    """The lines of a list by ascending time: seconds, and the words after them."""
+
+    times: list[float]
+    values: list[list[str]]
+
+    def nearest(self, time: float) -> list[str] | None:
+        """The words of the line nearest in time; None: it is too far."""
+        i = bisect_left(self.times, time)
+        around = range(max(0, i - 1), min(i + 1, len(self.times)))
+        gap, best = min(((abs(self.times[k] - time), k) for k in around), default=(math.inf, 0))
+        return self.values[best] if gap <= MAX_GAP + ROUNDING else None
+
+
+def _read_list(path: Path, columns: str) -> _Timeline:
+    """The lines "timestamp COLUMNS" of a file.
+
+    Raises:
+        TFLabError: it is missing, or has other lines.
+    """
+    cure = f"a line holds: timestamp {columns}"
+    count = len(columns.split())
+    rows = []
+    for number, line in enumerate(read_text(path, cure).splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        words = line.split(maxsplit=count)
+        try:
+            time = float(words[0])
+        except ValueError:
+            time = math.nan
+        if len(words) != count + 1 or not math.isfinite(time):
+            raise TFLabError(f"{path}, line {number}: {line.strip()[:60]!r}; {cure}")
+        rows.append((time, [word.strip() for word in words[1:]]))
+    rows.sort(key=lambda row: row[0])
+    return _Timeline([time for time, _ in rows], [words for _, words in rows])
+
+
+def _pose(words: Sequence[str] | None) -> np.ndarray:
+    """The pose [4, 4] of a line. Raises ValueError: it is none, or not one."""
+    if words is None:
+        raise ValueError(f"no pose within {MAX_GAP} s")
+    tx, ty, tz, qx, qy, qz, qw = (float(word) for word in words)
+    return pose_of_quaternion((qw, qx, qy, qz), (tx, ty, tz))
+
+
+def _depth(directory: Path, words: Sequence[str] | None) -> DepthFile | None:
+    if words is None or not _is_file(directory / words[0]):
+        return None
+    return DepthFile(directory / words[0], DEPTH_SCALE)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # no possible name
+        return False
+
+
+def _camera(directory: Path, size: tuple[int, int]) -> Camera:
+    for name in INTRINSICS:
+        if (directory / name).exists():
+            return read_intrinsics(directory / name, size)
+    cure = f"write {INTRINSICS[0]} with fx 0 cx / 0 fy cy / 0 0 1"
+    known = re.search("|".join(_CALIBRATIONS), directory.resolve().name)
+    if known is None:
+        raise TFLabError(
+            f"{directory}: its camera is unknown: no {' or '.join(INTRINSICS)} in it, and no "
+            f"{', '.join(_CALIBRATIONS)} in its name; {cure}"
+        )
+    camera = _CALIBRATIONS[known.group()]
+    if camera.size != size:
+        raise TFLabError(
+            f"{directory}: its images are {size[0]}x{size[1]}, those of {known.group()} "
+            f"{camera.size[0]}x{camera.size[1]}; {cure}"
+        )
+    return camera
