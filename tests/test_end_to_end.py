@@ -3,21 +3,21 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSampler, ChunkSettings
-from tf_lab.data.groundtruth import FINE, GroundTruth
+from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
+from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation.protocol import evaluate_scene
-from tf_lab.geometry import VoxelGrid
+from tf_lab.geometry import FINE, VoxelGrid
 from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
-from tf_lab.online.keyframes import select_keyframes
+from tf_lab.data.keyframes import select_keyframes
 from tf_lab.online.mesher import extract
 from tf_lab.scoring import median_views
 
@@ -59,10 +59,10 @@ def test_one_chunk_overfits(box_scene: Path, tiny_network: Callable[..., Network
     network = tiny_network(width=24, hidden=48)
     settings = ChunkSettings(chunks=1, images=8, coverage=0.2, augment=False)
     sampler = ChunkSampler([box_scene], settings, near=0.1, far=5.0)
-    rng = np.random.default_rng(0)
-    batch = sampler.batch(rng)
+    batches = iter(ChunkStream(sampler, seed=0))
+    batch = next(batches)
     while (batch.sdf < 0).float().mean() < 0.25:  # a chunk with something in it
-        batch = sampler.batch(rng)
+        batch = next(batches)
     adam = torch.optim.Adam(network.parameters(), 3e-3)
     accuracy = 0.0
     for step in range(400):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from tf_lab.checkpoint import shipped_encoder
 from tf_lab.data.chunks import ChunkSettings
-from tf_lab.data.rooms import RoomSettings
-from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoder import load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
@@ -80,20 +77,3 @@ def test_settings(config: Config) -> TestSettings:
         seed=config["seed"],
         keyframe_distance=config["keyframe_distance"],
     )
-
-
-def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path]]:
-    """Scene directories of the splits, made first if they are missing.
-
-    Raises:
-        TFLabError: the data set is unknown or cannot be prepared.
-    """
-    d = config["data"]
-    if d["name"] != "rooms":
-        raise TFLabError(f"data.name={d['name']}: only rooms are known")
-    size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
-    frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
-    wanted = {
-        s: RoomSplit(size[s], RoomSettings(d["width"], d["height"], frames[s])) for s in splits
-    }
-    return prepare_rooms(Path(d["root"]).expanduser(), wanted, d["workers"])

@@ -2,24 +2,55 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import multiprocessing
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 
-@contextmanager
+def _prefix() -> str:
+    """Of temporary names: says who writes (of a pool, its parent), to be known when that died."""
+    parent = multiprocessing.parent_process()
+    owner = os.getpid() if parent is None else parent.pid
+    return f".partial-{socket.gethostname()}-{owner}-"
+
+
+def remove_abandoned(directory: Path) -> None:
+    """Remove the half-written files and folders that killed processes of this machine left."""
+    for path in directory.glob(f".partial-{socket.gethostname()}-*"):
+        process = path.name.removeprefix(f".partial-{socket.gethostname()}-").split("-")[0]
+        if process.isdecimal() and not _is_alive(int(process)):
+            ours = directory / (_prefix() + path.name.rpartition("-")[2])
+            with contextlib.suppress(OSError):  # another process removes it, too
+                path.rename(ours)  # so that nothing is added to it any more
+            shutil.rmtree(ours, ignore_errors=True)
+            ours.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+@contextlib.contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that replaces it when the block ends without an error.
 
     The temporary name keeps the suffix, because many writers choose the format by it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=".partial-", suffix=path.suffix, dir=path.parent)
+    handle, name = tempfile.mkstemp(prefix=_prefix(), suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -30,14 +61,14 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-@contextmanager
+@contextlib.contextmanager
 def atomic_directory(path: Path) -> Iterator[Path]:
     """A temporary directory beside ``path`` that becomes it when the block ends without an error.
 
     If ``path`` exists by then (another process was faster), that one stays.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=".partial-", dir=path.parent))
+    temporary = Path(tempfile.mkdtemp(prefix=_prefix(), dir=path.parent))
     temporary.chmod(0o755)
     try:
         yield temporary

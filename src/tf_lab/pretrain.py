@@ -20,8 +20,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from tf_lab.commands import command, plain, provenance
-from tf_lab.configuration import prepare_data
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
+from tf_lab.datasets import prepare_data
 from tf_lab.files import atomic_path
 from tf_lab.network.encoder import Encoder, normalise_images
 from tf_lab.network.matching import matching_loss

@@ -19,15 +19,17 @@ from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.commands import command, plain
-from tf_lab.configuration import prepare_data, test_settings
+from tf_lab.configuration import test_settings
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
+from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.protocol import evaluate_scene, format_table, read_mesh
+from tf_lab.evaluation.protocol import evaluate_scene, format_table
 from tf_lab.files import atomic_path
+from tf_lab.meshes import read_mesh
 from tf_lab.network.network import Network
 from tf_lab.pictures import compare
 from tf_lab.progress import progress_bar

@@ -11,9 +11,9 @@ import numpy as np
 import trimesh
 
 from tf_lab.data.capture import Capture
+from tf_lab.data.keyframes import select_keyframes
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
-from tf_lab.online.keyframes import select_keyframes
 from tf_lab.online.reconstructor import ReconstructionSettings, Reconstructor, frustum_grid
 from tf_lab.online.selection import make_policy
 
@@ -93,7 +93,7 @@ def reconstruct(
 def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> float:
     """By how many keyframes the median surface point is seen, occlusion considered."""
     from tf_lab.data.groundtruth import views_per_point
-    from tf_lab.evaluation.protocol import read_mesh
+    from tf_lab.meshes import read_mesh
 
     mesh = read_mesh(groundtruth / "mesh_gt.ply")
     return float(np.median(views_per_point(capture, keyframes, mesh)))

@@ -14,8 +14,9 @@ import numpy as np
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.metrics import mean_metrics
-from tf_lab.evaluation.protocol import PROTOCOL, evaluate_scene, read_mesh
+from tf_lab.evaluation.protocol import PROTOCOL, evaluate_scene
 from tf_lab.files import atomic_path, write_json
+from tf_lab.meshes import read_mesh
 from tf_lab.network.network import Network
 from tf_lab.pictures import compare
 from tf_lab.progress import progress_bar

@@ -28,13 +28,13 @@ from tf_lab.configuration import (
     chunk_settings,
     make_network,
     optimizer_settings,
-    prepare_data,
     test_settings,
 )
 from tf_lab.data.datamodule import SceneDataModule
+from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
-from tf_lab.files import atomic_path, write_json
+from tf_lab.files import atomic_path, remove_abandoned, write_json
 from tf_lab.pictures import loss_curve
 from tf_lab.study.runs import portable, row_label, run_directory, training_directory
 from tf_lab.testing import read_metrics, test_network
@@ -71,6 +71,10 @@ def evaluate_training(config: Config, checkpoint: Path) -> Path:
             return run
         network, info = load_network(checkpoint)
         scenes = prepare_data(config, ("test",))["test"]
+        if not scenes:
+            raise TFLabError(
+                f"there is no test scene (data.test); the training is done: {checkpoint}"
+            )
         write_config(run, config)
         write_json(run / "run.json", {**provenance(), "checkpoint": str(checkpoint), **info})
         test_network(network, scenes, test_settings(config), run, row_label(config))
@@ -90,8 +94,7 @@ def train(config: Config) -> Path:
         if checkpoint.exists():
             print(f"reusing the identical finished training {directory}")
             return checkpoint
-        for partial in directory.glob(".partial-*"):
-            partial.unlink()  # of a training that was killed while it saved
+        remove_abandoned(directory)  # by a training that was killed while it saved
         write_config(directory, config)
         _fit(config, directory, checkpoint)
     return checkpoint

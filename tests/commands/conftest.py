@@ -17,8 +17,8 @@ from filelock import FileLock
 from tiny_jobs import TINY, Result, call, start, tiny_config
 
 from tf_lab import pictures
-from tf_lab.configuration import prepare_data
 from tf_lab.data.scene import Scene
+from tf_lab.datasets import prepare_data
 from tf_lab.evaluation import protocol
 from tf_lab.files import atomic_directory
 

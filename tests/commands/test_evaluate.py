@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tiny_jobs import Result, call, start
 
-from tf_lab.evaluation.protocol import read_mesh
+from tf_lab.meshes import read_mesh
 
 METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
 PUBLISHED = ("mesh_gt.ply", "occlusion_mask.npy", "world2grid.txt")

@@ -2,6 +2,7 @@
 
 import csv
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -84,7 +85,9 @@ def test_what_a_kill_left_half_written_is_removed(tmp_path: Path) -> None:
     config = tiny_config(f"output={tmp_path}")
     directory = training_directory(config)
     directory.mkdir(parents=True)
-    (directory / ".partial-abc.ckpt").write_bytes(b"half")
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    (directory / f".partial-{socket.gethostname()}-{dead.pid}-x.ckpt").write_bytes(b"half")
     train_network(config)
     assert not list(directory.glob(".partial-*"))
 

@@ -1,6 +1,9 @@
 """Depth fusion of analytic planes, balls and rooms."""
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +12,16 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import box_room
-from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse, unproject
+from tf_lab.data.tsdf import (
+    BYTES,
+    TSDF,
+    bounds_of,
+    extract_mesh,
+    fuse,
+    fuse_in_slabs,
+    join,
+    unproject,
+)
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
 
@@ -213,3 +225,62 @@ def test_bounds() -> None:
     assert lower.tolist() == pytest.approx([-reach[0], -reach[1], -0.1], abs=1e-4)
     with pytest.raises(TFLabError, match="no depth reading"):
         bounds_of(depths[1:], K[None], DOWN[None], 0.1)
+
+
+def corridor(length: float, voxel: float) -> tuple[list[Tensor], Tensor, Tensor, VoxelGrid]:
+    """Frames of cameras that look down along a floor of the given length (metres)."""
+    eyes = np.arange(0.4, length, 0.5)
+    poses = DOWN.repeat(len(eyes), 1, 1)
+    poses[:, 0, 3] = torch.from_numpy(eyes).float()
+    poses[::2, :3, :3] = look_from((0, 0, 1.5), (0.7, 0.2, 0))[:3, :3]
+    depths = [plane_depth(pose) for pose in poses]
+    grid = VoxelGrid.covering((-0.2, -1, -0.2), (length, 1, 1.8), voxel)
+    return depths, K.expand(len(poses), 3, 3), poses, grid
+
+
+@pytest.mark.parametrize("rows", [1, 7, 1000])
+def test_slabs_equal_the_whole(rows: int) -> None:
+    depths, k, poses, grid = corridor(3.0, 0.05)
+    whole = fuse(depths, k, poses, grid, TRUNCATION, FAR)
+    memory = BYTES * (rows + 1) * grid.shape[1] * grid.shape[2]
+    parts = list(fuse_in_slabs(depths, k, poses, grid, TRUNCATION, FAR, memory))
+    assert len(parts) == math.ceil(grid.shape[0] / rows)
+    distance = torch.cat([part.distance[:own] for own, part in parts])
+    weight = torch.cat([part.weight[:own] for own, part in parts])
+    assert torch.equal(weight, whole.weight)
+    torch.testing.assert_close(distance, whole.distance, atol=1e-5, rtol=0)
+    mesh, expected = join([extract_mesh(part) for _, part in parts]), extract_mesh(whole)
+    assert mesh.area == pytest.approx(expected.area, rel=1e-6)
+    assert len(mesh.vertices) == len(expected.vertices)  # seams have merged
+    assert len(mesh.faces) == len(expected.faces)
+
+
+MEASURE = """
+import resource, sys, torch
+sys.path.insert(0, {tests!r})
+from data.test_tsdf import FAR, TRUNCATION, corridor
+from tf_lab.data.tsdf import fuse_in_slabs
+torch.set_num_threads(1)
+depths, k, poses, grid = corridor({length}, 0.02)
+list(fuse_in_slabs(depths[:2], k, poses, corridor(0.5, 0.02)[3], TRUNCATION, FAR))  # libraries
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+voxels = 0
+for own, part in fuse_in_slabs(depths, k, poses, grid, TRUNCATION, FAR, {memory}):
+    voxels += part.weight[:own].numel()
+print(voxels, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
+"""
+
+
+def test_memory_stays_within_the_budget_on_a_larger_scene() -> None:
+    """Eight times the volume: the budget bounds both."""
+    memory, found = 64 * 2**20, []
+    for length in (3.6, 28.8):
+        tests = str(Path(__file__).parents[1])
+        code = MEASURE.format(tests=tests, length=length, memory=memory)
+        command = [sys.executable, "-c", code]
+        output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        found.append([int(word) for word in output.split()])
+    (small, _), (large, peak) = found
+    assert large > 7.5 * small
+    assert large * 8 > 1.5 * memory  # the sums alone would not fit
+    assert peak < memory, (peak, memory)

@@ -14,9 +14,9 @@ from tf_lab.evaluation.protocol import (
     evaluate_scene,
     format_row,
     format_table,
-    read_mesh,
     scene_names,
 )
+from tf_lab.meshes import read_mesh
 
 PLY = """ply
 format ascii 1.0

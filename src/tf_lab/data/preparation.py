@@ -8,13 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_directory
+from tf_lab.files import atomic_directory, remove_abandoned
 from tf_lab.progress import progress_bar
 
 
@@ -27,6 +28,20 @@ class SceneJob:
 
 
 def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = None) -> None:
+    """`build_scenes` for data of our own, which has no excuse to fail.
+
+    Raises:
+        TFLabError: some scenes failed (after all others were built); names them.
+    """
+    failed = build_scenes(jobs, title, workers)
+    if failed:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
+        raise TFLabError(f"{len(failed)} of {len(jobs)} scenes failed: {reasons}")
+
+
+def build_scenes(
+    jobs: Sequence[SceneJob], title: str, workers: int | None = None
+) -> dict[str, str]:
     """Build the scenes that do not exist yet, one process a scene.
 
     Args:
@@ -34,29 +49,32 @@ def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = N
         title: for the progress bar.
         workers: processes; None: one a core.
 
-    Raises:
-        TFLabError: some scenes failed (after all others were built); names them.
+    Returns:
+        Why which scene could not be built, by its directory's name.
     """
     missing = [job for job in jobs if not job.directory.is_dir()]
     if not missing:
-        return
+        return {}
+    for folder in {job.directory.parent for job in missing}:
+        remove_abandoned(folder)
     workers = min(workers or os.cpu_count() or 1, len(missing))
-    failures: list[str] = []
+    failed: dict[str, str] = {}
     context = multiprocessing.get_context("spawn")
     with (
         progress_bar() as bar,
         ProcessPoolExecutor(workers, mp_context=context, initializer=_worker) as pool,
     ):
         task = bar.add_task(title, total=len(missing))
-        futures = {pool.submit(_build, job): job for job in missing}
+        futures = {pool.submit(_build, job): job.directory.name for job in missing}
         for future in as_completed(futures):
             try:
                 future.result()
             except TFLabError as error:
-                failures.append(f"{futures[future].directory.name}: {error}")
+                failed[futures[future]] = str(error)
+            except (MemoryError, BrokenProcessPool):
+                failed[futures[future]] = "a process ran out of memory; use fewer data.workers"
             bar.advance(task)
-    if failures:
-        raise TFLabError(f"{len(failures)} of {len(missing)} scenes failed: " + "; ".join(failures))
+    return failed
 
 
 def _worker() -> None:
@@ -66,7 +84,7 @@ def _worker() -> None:
 
     def watch() -> None:
         while os.getppid() == parent:
-            time.sleep(1)
+            time.sleep(0.1)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

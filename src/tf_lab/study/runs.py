@@ -24,8 +24,10 @@ TRAINING_KEYS = (
     "augment",
     "sdf_weight",
 )
-TRAIN_DATA = ("name", "size", "width", "height", "frames")
-TEST_DATA = ("test_size", "test_frames")
+# of the data group: where it lies and how it is made, which shapes nothing
+DATA_PLACES = ("root", "scenes", "workers", "memory")
+DATA_AT_TEST = ("test", "test_size", "test_frames")
+DATA_AT_VALIDATION = ("val", "val_size")
 TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")
 
 
@@ -33,7 +35,8 @@ def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a resolved config that shapes the weights."""
     identity = {key: config[key] for key in TRAINING_GROUPS}
     identity["training"] = {key: config["training"][key] for key in TRAINING_KEYS}
-    identity["data"] = {key: config["data"][key] for key in TRAIN_DATA}
+    apart = {*DATA_PLACES, *DATA_AT_TEST, *DATA_AT_VALIDATION}
+    identity["data"] = {k: v for k, v in config["data"].items() if k not in apart}
     identity["precision"] = config["trainer"]["precision"]
     return identity
 
@@ -41,7 +44,7 @@ def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
 def evaluation_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a resolved config that shapes the scores, given the training."""
     identity = {key: config[key] for key in TEST_KEYS}
-    identity["data"] = {key: config["data"][key] for key in TEST_DATA}
+    identity["data"] = {k: v for k, v in config["data"].items() if k in DATA_AT_TEST}
     return identity
 
 
@@ -67,7 +70,7 @@ def run_directory(config: Mapping[str, Any]) -> Path:
 
 def portable(config: Mapping[str, Any]) -> dict[str, Any]:
     """A config without the paths of this machine, as it may travel with a checkpoint."""
-    data = {k: v for k, v in config["data"].items() if k != "root"}
+    data = {k: v for k, v in config["data"].items() if k not in DATA_PLACES}
     return {**{k: v for k, v in config.items() if k != "output"}, "data": data}
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tf_lab.online.keyframes import pose_distance, select_keyframes
+from tf_lab.data.keyframes import pose_distance, select_keyframes
 
 
 def pose(

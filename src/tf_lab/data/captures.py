@@ -1,0 +1,216 @@
+"""Captures to scenes: frames at the training resolution, stored once, with ground truth."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from tf_lab.data import groundtruth, scene
+from tf_lab.data.capture import Capture
+from tf_lab.data.chunk_weights import Structure
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
+from tf_lab.data.keyframes import select_keyframes
+from tf_lab.data.preparation import SceneJob, build_scenes
+from tf_lab.data.readers import detect_format, open_capture
+from tf_lab.data.resize import Resized
+from tf_lab.data.scannet_splits import official_mesh, structure_labels
+from tf_lab.data.scene import Frame, Scene, write_scene
+from tf_lab.errors import TFLabError
+from tf_lab.files import write_json
+from tf_lab.meshes import read_mesh
+
+
+@dataclass(frozen=True)
+class ImportSettings:
+    """All that shapes the scene made of a capture.
+
+    Attributes:
+        width, height: of the stored frames, pixels.
+        keyframe_distance: pose distance between stored frames (see `keyframes`); 0: all.
+        format, gravity, scale: see `open_capture`.
+        groundtruth: how depth is fused.
+    """
+
+    width: int = 640
+    height: int = 480
+    keyframe_distance: float = 0.1
+    format: str | None = None
+    gravity: tuple[float, float, float] | None = None
+    scale: float | None = None
+    groundtruth: GroundTruthSettings = field(default_factory=GroundTruthSettings)
+
+    @property
+    def key(self) -> str:
+        """A name for scenes of these settings, so that others never pass for them."""
+        versions = [scene.FORMAT, groundtruth.VERSION]
+        digest = hashlib.sha256(json.dumps([*versions, asdict(self)]).encode()).hexdigest()
+        return f"{self.width}x{self.height}-{digest[:10]}"
+
+
+@dataclass
+class Prepared:
+    """Scenes by name, and for those that could not be made the reason."""
+
+    scenes: dict[str, Path]
+    failed: dict[str, str]
+
+
+def find_captures(root: Path) -> dict[str, Path]:
+    """The captures in a folder, by name: its folders (or files) of a known layout.
+
+    Raises:
+        TFLabError: there is none.
+    """
+    if not root.is_dir():
+        raise TFLabError(f"data.root={root}: no such folder; give the folder of the captures")
+    found = {}
+    for path in sorted(root.iterdir()):
+        if not path.name.startswith(".") and detect_format(path):
+            found[path.name if path.is_dir() else path.stem] = path
+    if not found:
+        raise TFLabError(
+            f"data.root={root}: no capture in it; give the folder that holds the folders of the "
+            "captures (docs/data.md shows every layout)"
+        )
+    return found
+
+
+def import_capture(directory: Path, source: Path, settings: ImportSettings, memory: int) -> None:
+    """Write a capture as a scene with ground truth (not atomic: give a temporary directory).
+
+    Frames that cannot be read or have no depth are left out, and listed in the scene.
+
+    Raises:
+        TFLabError: nothing usable is left.
+    """
+    original = open_capture(source, settings.format, settings.gravity, settings.scale)
+    size = (settings.width, settings.height)
+    capture = original if original.size == size else Resized(original, size)
+    skipped = list(capture.skipped)
+    provenance = {"source": source.name, "settings": asdict(settings)}
+    made = write_scene(
+        directory,
+        _frames(capture, settings.keyframe_distance, skipped),
+        provenance,
+        capture.name,
+        skipped,
+        capture.source_T_world,
+    )
+    mesh = official_mesh(source)
+    labels = structure_labels(source)
+    world_T_source = np.linalg.inv(capture.source_T_world)
+    structure = None
+    if labels is not None:
+        points = labels[0] @ world_T_source[:3, :3].T + world_T_source[:3, 3]
+        structure = Structure(points, labels[1])
+    write_groundtruth(
+        made,
+        made.groundtruth,
+        settings.groundtruth,
+        mesh=None if mesh is None else read_mesh(mesh).apply_transform(world_T_source),
+        structure=structure,
+        memory=memory,
+        device="cuda" if torch.cuda.is_available() else "cpu",
+    )
+
+
+def _frames(capture: Capture, distance: float, skipped: list[str]) -> Iterator[Frame]:
+    """The keyframes with image and depth; the others are added to ``skipped``."""
+    for i in select_keyframes(capture.world_T_cam, distance):
+        name = capture.frames[i]
+        try:
+            image, depth = capture.image(i), capture.depth(i)
+        except TFLabError as error:
+            skipped.append(f"{name}: {error}")
+            continue
+        if depth is None:
+            skipped.append(f"{name}: no depth, of which the ground truth is made")
+            continue
+        yield Frame(name, image, capture.K[i], capture.world_T_cam[i], depth)
+
+
+def prepare_captures(
+    sources: dict[str, Path],
+    root: Path,
+    settings: ImportSettings,
+    workers: int | None = None,
+    memory: int = 2**30,
+) -> Prepared:
+    """Make the scenes that do not exist yet, one process a scene.
+
+    Args:
+        sources: captures by the name of their scene.
+        root: scenes go to ``root/<settings' key>/<name>``.
+        settings: for all of them.
+        workers: processes; None: one a core.
+        memory: bytes a process may take for depth fusion.
+    """
+    folder = root / settings.key
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TFLabError(
+            f"{folder}: cannot be made ({error.strerror}); say with data.scenes=DIR where the "
+            "prepared scenes shall go"
+        ) from error
+    jobs = [
+        SceneJob(
+            folder / name,
+            partial(import_capture, source=source, settings=settings, memory=memory),
+        )
+        for name, source in sources.items()
+    ]
+    failed = build_scenes(jobs, "preparing scenes", workers)
+    whole = {job.directory.name: job.directory for job in jobs if job.directory.is_dir()}
+    return Prepared(whole, failed)
+
+
+def summarise(prepared: Prepared, folder: Path) -> str:
+    """What was made, skipped and why, as text; ``prepare.json`` in the folder has all of it."""
+    reasons: Counter[str] = Counter()
+    details: dict[str, Any] = {}
+    frames = 0
+    for name, directory in prepared.scenes.items():
+        opened = Scene(directory)
+        frames += len(opened)
+        reasons.update(_kind(line) for line in opened.skipped)
+        details[name] = {"frames": len(opened), "skipped": opened.skipped}
+    write_json(folder / "prepare.json", {"scenes": details, "failed": prepared.failed})
+    lines = [f"{folder}: {len(prepared.scenes)} scenes, {frames} frames"]
+    lines += [f"  skipped {count} frames: {reason}" for reason, count in reasons.most_common(5)]
+    lines += [f"  failed {name}: {reason}" for name, reason in prepared.failed.items()]
+    return "\n".join(lines)
+
+
+def _kind(line: str) -> str:
+    """The reason in "frame: reason", without the file that it names."""
+    reason = line.split(": ", 1)[-1]
+    return reason.split(": ", 1)[-1] if "/" in reason.split(": ", 1)[0] else reason
+
+
+def names_of(given: Sequence[str] | str, known: Sequence[str], what: str) -> list[str]:
+    """Scene names from a list, or from a text file with one a line.
+
+    Raises:
+        TFLabError: the file is missing, or a name is not known.
+    """
+    if isinstance(given, str):
+        try:
+            given = Path(given).expanduser().read_text().split()
+        except (OSError, UnicodeDecodeError) as error:
+            raise TFLabError(f"{what}={given}: cannot be read ({error})") from error
+    missing = [name for name in given if name not in known]
+    if missing:
+        raise TFLabError(
+            f"{what}: {len(missing)} of {len(given)} scenes are not there, the first: {missing[0]}"
+        )
+    return list(given)

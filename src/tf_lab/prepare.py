@@ -1,0 +1,39 @@
+"""Source data to scenes with ground truth: parallel, restartable, one scene failing alone.
+
+python -m tf_lab.prepare data=NAME data.root=DIR
+"""
+
+from __future__ import annotations
+
+from omegaconf import DictConfig
+
+from tf_lab.commands import command, plain
+from tf_lab.data.captures import prepare_captures, summarise
+from tf_lab.datasets import capture_sources, prepare_data, scene_settings, scenes_root
+from tf_lab.errors import TFLabError
+
+
+@command("prepare")
+def main(cfg: DictConfig) -> None:
+    """Prepare the splits, say what was skipped and why."""
+    config = plain(cfg)
+    if config["data"]["name"] == "rooms":
+        for split, scenes in prepare_data(config, tuple(config["splits"])).items():
+            print(f"{split}: {len(scenes)} rooms in {scenes[0].parent}")
+        return
+    chosen = capture_sources(config, tuple(config["splits"]))
+    sources = {name: path for split in chosen.values() for name, path in split.items()}
+    settings = scene_settings(config)
+    memory = round(config["data"]["memory"] * 2**30)
+    root = scenes_root(config)
+    prepared = prepare_captures(sources, root, settings, config["data"]["workers"], memory)
+    print(summarise(prepared, root / settings.key))
+    if prepared.failed:
+        raise TFLabError(
+            f"{len(prepared.failed)} of {len(sources)} scenes failed, see above; the others are "
+            "ready, and the same command tries these again"
+        )
+
+
+if __name__ == "__main__":
+    main()
