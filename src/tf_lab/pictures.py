@@ -34,6 +34,7 @@ def compare(
     title: str,
     fscore: float | None = None,
     size: tuple[int, int] = (640, 480),
+    label: str = "Prediction",
 ) -> None:
     """Draw input frames above the prediction, the ground truth and the error, as one PNG.
 
@@ -48,13 +49,14 @@ def compare(
         title: heading, for instance the scene's name.
         fscore: added to the heading if given.
         size: (width, height) of a panel, pixels.
+        label: what the prediction is called.
     """
     reference = prediction if groundtruth is None else groundtruth
     if len(reference.faces) == 0:
         raise TFLabError(f"{path}: there is no surface to draw; the mesh is empty")
     K, world_T_cam, ceiling = overview_camera(reference.bounds, size)
     seen = cast(prediction, K, world_T_cam, size, ceiling)
-    label = "Prediction" if len(prediction.faces) else "Prediction (empty)"
+    label = label if len(prediction.faces) else f"{label} (empty)"
     panels = [(label, shade(seen, np.array(CLAY)))]
     if groundtruth is not None:
         surface, _ = trimesh.sample.sample_surface(groundtruth, 200_000, seed=0)

@@ -5,12 +5,20 @@ python -m tf_lab.prepare data=NAME data.root=DIR
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
 from omegaconf import DictConfig
 
 from tf_lab.commands import command, plain
 from tf_lab.data.captures import prepare_captures, summarise
+from tf_lab.data.scene import Scene
 from tf_lab.datasets import capture_sources, prepare_data, scene_settings, scenes_root
 from tf_lab.errors import TFLabError
+from tf_lab.meshes import read_mesh
+from tf_lab.pictures import compare
+from tf_lab.progress import progress_bar
 
 
 @command("prepare")
@@ -28,11 +36,28 @@ def main(cfg: DictConfig) -> None:
     root = scenes_root(config)
     prepared = prepare_captures(sources, root, settings, config["data"]["workers"], memory)
     print(summarise(prepared, root / settings.key))
+    if config["pictures"]:
+        print(f"pictures: {_draw(prepared.scenes, root / settings.key / 'pictures')}")
     if prepared.failed:
         raise TFLabError(
             f"{len(prepared.failed)} of {len(sources)} scenes failed, see above; the others are "
             "ready, and the same command tries these again"
         )
+
+
+def _draw(scenes: Mapping[str, Path], folder: Path) -> Path:
+    """A picture of each scene's frames and ground truth; those that exist are kept."""
+    with progress_bar() as bar:
+        for name, directory in bar.track(scenes.items(), description="drawing"):
+            path = folder / f"{name}.png"
+            if path.exists():
+                continue
+            scene = Scene(directory)
+            mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
+            chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
+            images = [scene.image(int(i)) for i in chosen]
+            compare(mesh, None, images, path, name, label="Ground truth")
+    return folder
 
 
 if __name__ == "__main__":
