@@ -12,20 +12,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from tf_lab.data.readers.source import (
-    ColorFile,
-    DepthFile,
-    SourceCapture,
-    SourceFrame,
-    collect,
-    image_files,
-    image_size,
-    parse_pose,
-    read_intrinsics,
-    read_text,
-)
+from tf_lab.data.readers.images import image_files, image_size
+from tf_lab.data.readers.parsing import read_intrinsics, read_poses
+from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "plain"
@@ -47,7 +36,7 @@ def read(directory: Path) -> SourceCapture:
     images = image_files(folder) if folder.is_dir() else []
     if not images:
         raise TFLabError(f"{folder}: no JPEG or PNG image in it; put the colour images there")
-    poses = _read_poses(directory / "poses.txt")
+    poses = read_poses(directory / "poses.txt", f"{LAYOUT} belong together")
     if len(poses) != len(images):
         raise TFLabError(
             f"{directory}: poses.txt has {len(poses)} lines, images/ has {len(images)} images; "
@@ -67,16 +56,3 @@ def read(directory: Path) -> SourceCapture:
         for stem, image, pose, depth in zip(stems, images, poses, depths, strict=True)
     ]
     return collect(directory, frames, skipped=[])
-
-
-def _read_poses(path: Path) -> list[np.ndarray]:
-    lines = read_text(path, f"{LAYOUT} belong together").splitlines()
-    poses = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        try:
-            poses.append(parse_pose(line))
-        except ValueError as error:
-            raise TFLabError(f"{path}, line {number}: {error}; write one pose a line") from error
-    return poses

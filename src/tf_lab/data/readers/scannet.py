@@ -24,6 +24,8 @@ import numpy as np
 import torch
 
 from tf_lab.data.lens import Camera, camera_of
+from tf_lab.data.readers.images import image_files, image_size
+from tf_lab.data.readers.parsing import parse_pose, read_text
 from tf_lab.data.readers.sens import open_sens
 from tf_lab.data.readers.source import (
     ColorFile,
@@ -32,10 +34,6 @@ from tf_lab.data.readers.source import (
     SourceCapture,
     SourceFrame,
     collect,
-    image_files,
-    image_size,
-    parse_pose,
-    read_text,
 )
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
@@ -97,11 +95,14 @@ def _camera(K: np.ndarray, size: tuple[int, int], where: str) -> Camera:
         raise TFLabError(f"{where}: {error}") from error
 
 
-def _color_T_depth(color: np.ndarray, depth: np.ndarray, where: str) -> np.ndarray | None:
+def _rigid(extrinsics: np.ndarray, where: str) -> np.ndarray:
+    if not is_valid_pose(torch.from_numpy(extrinsics)):
+        raise TFLabError(f"{where}: these extrinsics are not a rigid transform")
+    return extrinsics
+
+
+def _color_T_depth(color: np.ndarray, depth: np.ndarray) -> np.ndarray | None:
     """From both extrinsics [4, 4]; None for the identity."""
-    for name, extrinsics in (("colour", color), ("depth", depth)):
-        if not is_valid_pose(torch.from_numpy(extrinsics)):
-            raise TFLabError(f"{where}: the {name} camera's extrinsics are not a rigid transform")
     color_T_depth = np.linalg.inv(color) @ depth
     return None if np.allclose(color_T_depth, np.eye(4), atol=1e-6) else color_T_depth
 
@@ -113,7 +114,10 @@ def _read_stream(source: Path, path: Path) -> SourceCapture:
     rig = _Rig(
         _camera(header.color_K, header.color_size, f"{path}, colour"),
         _camera(header.depth_K, header.depth_size, f"{path}, depth") if has_depth else None,
-        _color_T_depth(header.color_extrinsics, header.depth_extrinsics, str(path)),
+        _color_T_depth(
+            _rigid(header.color_extrinsics, f"{path}, colour"),
+            _rigid(header.depth_extrinsics, f"{path}, depth"),
+        ),
     )
     frames = [
         rig.frame(str(i), frame.pose, frame.color, frame.depth)
@@ -131,8 +135,8 @@ def _read_export(directory: Path) -> SourceCapture:
     color, depth = _export_camera(directory, "color", list(colors.values())), None
     if depths:
         depth = _export_camera(directory, "depth", list(depths.values()))
-    extrinsics = (_extrinsics(directory, "color"), _extrinsics(directory, "depth"))
-    rig = _Rig(color, depth, _color_T_depth(*extrinsics, str(directory / "intrinsic")))
+    extrinsics = _extrinsics(directory, "color"), _extrinsics(directory, "depth")
+    rig = _Rig(color, depth, _color_T_depth(*extrinsics))
     posed = sorted(path.stem for path in (directory / "pose").glob("*.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
@@ -158,7 +162,7 @@ def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Came
 
 def _extrinsics(directory: Path, camera: str) -> np.ndarray:
     path = directory / "intrinsic" / f"extrinsic_{camera}.txt"
-    return _read_matrix(path) if path.exists() else np.eye(4)
+    return _rigid(_read_matrix(path), str(path)) if path.exists() else np.eye(4)
 
 
 def _read_matrix(path: Path) -> np.ndarray:

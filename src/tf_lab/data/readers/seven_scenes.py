@@ -12,17 +12,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tf_lab.data.readers.source import (
-    ColorFile,
-    DepthFile,
-    SourceCapture,
-    SourceFrame,
-    collect,
-    image_files,
-    image_size,
-    parse_pose,
-    read_intrinsics,
-)
+from tf_lab.data.readers.images import image_files, image_size
+from tf_lab.data.readers.parsing import parse_pose, read_intrinsics
+from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "seven_scenes"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -12,16 +10,11 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from tf_lab.data.capture import read_depth, read_image
-from tf_lab.data.lens import Camera, camera_of, rectify_image, register_depth
+from tf_lab.data.lens import Camera, rectify_image, register_depth
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
-
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-MAX_TEXT = 64 * 2**20  # bytes; pose and camera files are far smaller
 
 
 class Pixels(Protocol):
@@ -192,110 +185,3 @@ def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:
         return camera.pinhole(size)
     except TFLabError as error:
         raise TFLabError(f"{source}: {error}") from error
-
-
-def read_text(path: Path, cure: str) -> str:
-    """A text file.
-
-    Raises:
-        TFLabError: missing, not text or absurdly large; the message ends with the cure.
-    """
-    try:
-        if path.stat().st_size > MAX_TEXT:
-            raise TFLabError(f"{path}: too large to be this file; {cure}")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise TFLabError(f"{path}: missing; {cure}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise TFLabError(f"{path}: cannot be read as text ({error}); {cure}") from error
-
-
-def parse_pose(text: str) -> np.ndarray:
-    """A pose [4, 4] from 16 numbers, or from the 12 of its upper three rows, row by row.
-
-    NaN and infinity are numbers here: sources mark lost frames with them.
-
-    Raises:
-        ValueError: it is something else; the message says what.
-    """
-    words = text.split()
-    if len(words) not in (12, 16):
-        raise ValueError(f"{len(words)} values, a pose has 16 (4x4) or 12 (3x4)")
-    pose = np.eye(4)
-    pose.flat[: len(words)] = [float(word) for word in words]
-    return pose
-
-
-def pose_of_quaternion(
-    quaternion_wxyz: Sequence[float], translation: Sequence[float]
-) -> np.ndarray:
-    """A rigid transform [4, 4] from a quaternion (w, x, y, z) of any length and a translation.
-
-    Raises:
-        ValueError: the quaternion has no length, or a number is NaN or infinite.
-    """
-    numbers = np.array([*quaternion_wxyz, *translation], np.float64)
-    if not np.isfinite(numbers).all():
-        raise ValueError("NaN or infinity in the pose (frame lost)")
-    w, x, y, z = numbers[:4] / (np.abs(numbers[:4]).max() or 1.0)  # squares of any size are finite
-    if math.hypot(w, x, y, z) == 0:
-        raise ValueError("a quaternion of zeros is no rotation")
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
-    pose[:3, 3] = numbers[4:]
-    return pose
-
-
-def opencv_of_opengl(world_T_cam: np.ndarray) -> np.ndarray:
-    """A pose [4, 4] of a camera with x right, y up, z back, for one with x right, y down, z front.
-
-    The camera stays where it is; ARKit, Blender, NeRF and nerfstudio have OpenGL's axes.
-    """
-    return world_T_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-def read_intrinsics(path: Path, size: tuple[int, int]) -> Camera:
-    """A text file of 3x3 numbers as the camera of images of (width, height) ``size``.
-
-    Raises:
-        TFLabError: the file is missing, or this is not the K of such images.
-    """
-    cure = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"
-    try:
-        values = [float(word) for word in read_text(path, cure).split()]
-    except ValueError as error:
-        raise TFLabError(f"{path}: not numbers ({error}); {cure}") from error
-    if len(values) != 9:
-        raise TFLabError(f"{path}: {len(values)} values instead of 9; {cure}")
-    try:
-        return camera_of(np.array(values).reshape(3, 3), size)
-    except TFLabError as error:
-        raise TFLabError(f"{path}: {error}; {cure}") from error
-
-
-def image_size(paths: Iterable[Path]) -> tuple[int, int]:
-    """(width, height) by the first header that can be read; nothing is decoded.
-
-    Raises:
-        TFLabError: none can be read.
-    """
-    last = None
-    for last in paths:
-        try:
-            with Image.open(last) as image:
-                return image.size
-        except Exception:  # damaged data makes Pillow raise nearly anything
-            continue  # the capture reports this file when its image is asked for
-    raise TFLabError(f"{last}: not one of the colour images can be read; use JPEG or PNG")
-
-
-def image_files(directory: Path) -> list[Path]:
-    """The visible JPEG and PNG files of a directory, in natural order (img2 before img10)."""
-    files = (path for path in directory.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    return sorted((path for path in files if not path.name.startswith(".")), key=_natural)
-
-
-def _natural(path: Path) -> tuple[list[tuple[str, int]], str]:
-    # alternating text and digits: every part compares as (text, number)
-    parts = re.findall(r"(\D*)(\d*)", path.stem)
-    return [(text.lower(), int(digits or -1)) for text, digits in parts], path.name

@@ -16,35 +16,28 @@ without depth it stays. The world is that of the motion capture, its z axis poin
 
 from __future__ import annotations
 
-import math
 import re
-from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tf_lab.data.lens import Camera
-from tf_lab.data.readers.source import (
-    ColorFile,
-    DepthFile,
-    SourceCapture,
-    SourceFrame,
-    collect,
-    image_size,
+from tf_lab.data.readers.images import image_size, is_file
+from tf_lab.data.readers.parsing import (
+    MAX_GAP,
+    Timeline,
     pose_of_quaternion,
     read_intrinsics,
-    read_text,
+    read_timeline,
 )
+from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "tum"
 LAYOUT = "rgb.txt, groundtruth.txt"
 DOWN = (0.0, 0.0, -1.0)
 DEPTH_SCALE = 5000.0  # units a metre
-MAX_GAP = 0.02  # seconds
-ROUNDING = 1e-6  # seconds; timestamps are written with six decimals
 INTRINSICS = ("camera-intrinsics.txt", "K.txt")
 
 _SIZE = (640, 480)
@@ -72,11 +65,11 @@ def read(directory: Path) -> SourceCapture:
     Raises:
         TFLabError: a list is missing or damaged, no frame is usable, or the camera is unknown.
     """
-    colors = _read_list(directory / "rgb.txt", "file")
-    poses = _read_list(directory / "groundtruth.txt", "tx ty tz qx qy qz qw")
-    depths = _Timeline([], [])
+    colors = read_timeline(directory / "rgb.txt", "file")
+    poses = read_timeline(directory / "groundtruth.txt", "tx ty tz qx qy qz qw")
+    depths = Timeline([], [])
     if (directory / "depth.txt").exists():
-        depths = _read_list(directory / "depth.txt", "file")
+        depths = read_timeline(directory / "depth.txt", "file")
     kept: dict[str, tuple[Path, np.ndarray, DepthFile | None]] = {}
     skipped = []
     for time, (file,) in zip(colors.times, colors.values, strict=True):
@@ -84,7 +77,7 @@ def read(directory: Path) -> SourceCapture:
         try:
             if color.stem in kept:
                 raise ValueError("a second image of that name")
-            if not _is_file(color):
+            if not is_file(color):
                 raise ValueError(f"{color}: no such image")
             pose = _pose(poses.nearest(time))
         except ValueError as error:
@@ -101,45 +94,6 @@ def read(directory: Path) -> SourceCapture:
     return collect(directory, frames, skipped, DOWN)
 
 
-@dataclass(frozen=True)
-class _Timeline:
-    """The lines of a list by ascending time: seconds, and the words after them."""
-
-    times: list[float]
-    values: list[list[str]]
-
-    def nearest(self, time: float) -> list[str] | None:
-        """The words of the line nearest in time; None: it is too far."""
-        i = bisect_left(self.times, time)
-        around = range(max(0, i - 1), min(i + 1, len(self.times)))
-        gap, best = min(((abs(self.times[k] - time), k) for k in around), default=(math.inf, 0))
-        return self.values[best] if gap <= MAX_GAP + ROUNDING else None
-
-
-def _read_list(path: Path, columns: str) -> _Timeline:
-    """The lines "timestamp COLUMNS" of a file.
-
-    Raises:
-        TFLabError: it is missing, or has other lines.
-    """
-    cure = f"a line holds: timestamp {columns}"
-    count = len(columns.split())
-    rows = []
-    for number, line in enumerate(read_text(path, cure).splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        words = line.split(maxsplit=count)
-        try:
-            time = float(words[0])
-        except ValueError:
-            time = math.nan
-        if len(words) != count + 1 or not math.isfinite(time):
-            raise TFLabError(f"{path}, line {number}: {line.strip()[:60]!r}; {cure}")
-        rows.append((time, [word.strip() for word in words[1:]]))
-    rows.sort(key=lambda row: row[0])
-    return _Timeline([time for time, _ in rows], [words for _, words in rows])
-
-
 def _pose(words: Sequence[str] | None) -> np.ndarray:
     """The pose [4, 4] of a line. Raises ValueError: it is none, or not one."""
     if words is None:
@@ -149,16 +103,9 @@ def _pose(words: Sequence[str] | None) -> np.ndarray:
 
 
 def _depth(directory: Path, words: Sequence[str] | None) -> DepthFile | None:
-    if words is None or not _is_file(directory / words[0]):
+    if words is None or not is_file(directory / words[0]):
         return None
     return DepthFile(directory / words[0], DEPTH_SCALE)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # no possible name
-        return False
 
 
 def _camera(directory: Path, size: tuple[int, int]) -> Camera:
