@@ -10,6 +10,7 @@ from torch import Tensor
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
 from tf_lab.data.groundtruth import GroundTruth
+from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
 from tf_lab.data.scene import Scene
@@ -17,7 +18,6 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
 from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
-from tf_lab.data.keyframes import select_keyframes
 from tf_lab.online.mesher import extract
 from tf_lab.scoring import median_views
 

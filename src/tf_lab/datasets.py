@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tf_lab.configuration import chunk_settings
 from tf_lab.data.captures import ImportSettings, find_captures, names_of, prepare_captures
+from tf_lab.data.chunk_sampler import ChunkSampler
+from tf_lab.data.chunks import ChunkSource
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
 from tf_lab.data.scannet_splits import find_scene, split_scenes
@@ -36,6 +39,17 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
         s: RoomSplit(size[s], RoomSettings(d["width"], d["height"], frames[s])) for s in splits
     }
     return prepare_rooms(Path(d["root"]).expanduser(), wanted, d["workers"])
+
+
+def training_chunks(config: Config) -> ChunkSource:
+    """Where a training's chunks come from.
+
+    Raises:
+        TFLabError: the data cannot be prepared.
+    """
+    near, far = config["model"]["near"], config["model"]["far"]
+    scenes = prepare_data(config, ("train",))["train"]
+    return ChunkSampler(scenes, chunk_settings(config), near, far)
 
 
 def _prepare_captures(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path]]:

@@ -24,14 +24,9 @@ from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, save_network
 from tf_lab.commands import command, plain, provenance
-from tf_lab.configuration import (
-    chunk_settings,
-    make_network,
-    optimizer_settings,
-    test_settings,
-)
+from tf_lab.configuration import make_network, optimizer_settings, test_settings
 from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.datasets import prepare_data
+from tf_lab.datasets import prepare_data, training_chunks
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, remove_abandoned, write_json
@@ -107,21 +102,14 @@ def _is_helper() -> bool:
 
 def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     L.seed_everything(config["seed"], verbose=False)
-    splits = prepare_data(config, ("train", "val"))
+    train, val = training_chunks(config), prepare_data(config, ("val",))["val"]
     network = make_network(config)
     if config["trainer"]["compile"]:
         for part in (network.encoder, network.fusion["coarse"], network.fusion["fine"]):
             part.compile(dynamic=True)
     optimizer = optimizer_settings(config)
     module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
-    data = SceneDataModule(
-        splits,
-        chunk_settings(config),
-        network.config.near,
-        network.config.far,
-        config["seed"],
-        config["trainer"]["workers"],
-    )
+    data = SceneDataModule(train, val, config["seed"], config["trainer"]["workers"])
     trainer = _trainer(config, directory)
     last = directory / "last.ckpt"
     if last.exists():

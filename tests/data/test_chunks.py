@@ -2,6 +2,8 @@
 
 import itertools
 import pickle
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +13,10 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 import box_room
-from tf_lab.data.chunks import (
-    COARSE_GRID,
-    FINE_GRID,
-    ChunkBatch,
-    ChunkSampler,
-    ChunkSettings,
-    ChunkStream,
-)
+from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkSettings, make_batch
 from tf_lab.data.groundtruth import GroundTruth
+from tf_lab.data.jpeg import decode_jpegs
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK, COARSE, FINE
@@ -34,6 +31,10 @@ def sampler(box_scene: Path, settings: ChunkSettings = SMALL, far: float = FAR) 
 
 def stream(box_scene: Path, **arguments: int) -> ChunkStream:
     return ChunkStream(sampler(box_scene), **{"seed": 0, **arguments})
+
+
+def draw(box_scene: Path, settings: ChunkSettings, seed: int = 0) -> ChunkBatch:
+    return ChunkStream(sampler(box_scene, settings), seed).batch(0)
 
 
 def same(a: ChunkBatch, b: ChunkBatch) -> bool:
@@ -62,7 +63,7 @@ def world_T_chunk(batch: ChunkBatch, scene: Scene) -> Tensor:
 @pytest.fixture(scope="module")
 def batch(box_scene: Path) -> ChunkBatch:
     settings = ChunkSettings(chunks=8, images=4, points=1000)
-    return sampler(box_scene, settings).batch(np.random.default_rng(3))
+    return draw(box_scene, settings, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +205,7 @@ def test_views_see_the_chunk(box_scene: Path, scene: Scene) -> None:
     points = centers.reshape(-1, 3)
     for coverage in (0.1, 0.4):
         settings = ChunkSettings(chunks=4, images=2, points=10, coverage=coverage)
-        batch = sampler(box_scene, settings).batch(np.random.default_rng(0))
+        batch = draw(box_scene, settings)
         for b, i in itertools.product(range(4), range(2)):
             camera = (points - batch.world_T_cam[b, i, :3, 3].numpy()) @ batch.world_T_cam[
                 b, i, :3, :3
@@ -216,18 +217,18 @@ def test_views_see_the_chunk(box_scene: Path, scene: Scene) -> None:
 
 def test_without_augmentation_only_shifts(box_scene: Path, scene: Scene) -> None:
     settings = ChunkSettings(chunks=3, images=2, points=10, augment=False)
-    batch = sampler(box_scene, settings).batch(np.random.default_rng(0))
+    batch = draw(box_scene, settings)
     rotations = world_T_chunk(batch, scene)[:, :3, :3]
     torch.testing.assert_close(rotations, torch.eye(3).double().expand(3, 3, 3), atol=1e-5, rtol=0)
 
 
 def test_chunks_are_drawn_by_weight(box_scene: Path) -> None:
     """Centres against the weights of the candidates, jitter apart."""
-    chunks, truth = sampler(box_scene), GroundTruth(box_scene / "groundtruth")
-    rng = np.random.default_rng(0)
+    opened = ChunkScene(box_scene)
+    truth, rng = opened.truth, np.random.default_rng(0)
     centers = []
     for _ in range(1500):
-        pose = torch.linalg.inv(chunks._place(truth, rng)).numpy()
+        pose = torch.linalg.inv(opened.place(rng, turn=True)).numpy()
         centers.append(pose[:3, :3] @ np.full(3, CHUNK / 2) + pose[:3, 3])
     share = truth.weight / truth.weight.sum()
     expected = (share[:, None] * truth.centers).sum(0)
@@ -271,6 +272,56 @@ def test_the_number_of_views_varies_from_step_to_step(box_scene: Path) -> None:
     assert {bool(b.ranked[0]) for b in batches} == {False, True}
 
 
+def test_fewer_images_than_a_record_holds(box_scene: Path) -> None:
+    """A step uses some of them, each with its own camera; other steps use others."""
+    record = sampler(box_scene, replace(SMALL, images=6)).record(0, 0, 0)
+    stored = [torch.from_numpy(decode_jpegs([image], record.size))[0] for image in record.images]
+    used = []
+    for step in range(8):
+        batch = make_batch([record], SMALL, seed=0, rank=0, step=step)
+        assert len(batch.images[0]) == SMALL.images
+        found = [next(i for i in range(6) if torch.equal(stored[i], x)) for x in batch.images[0]]
+        assert torch.equal(batch.world_T_cam[0], record.world_T_cam[found])
+        used.append(frozenset(found))
+    assert len(set(used)) > 2
+    assert frozenset.union(*used) == set(range(6))
+
+
+def test_a_chunk_is_covered_as_much_as_its_probes_are_seen(box_scene: Path) -> None:
+    """Frames left out by their frustum's sides are those that see nothing: all frames tested."""
+    opened = ChunkScene(box_scene)
+    axis = torch.arange(0.15, CHUNK, COARSE, dtype=torch.float64)
+    probes = torch.cartesian_prod(axis, axis, axis)
+    rng = np.random.default_rng(1)
+    shares = []
+    for _ in range(20):
+        world_T_chunk = torch.linalg.inv(opened.place(rng, turn=True))
+        world = probes @ world_T_chunk[:3, :3].T + world_T_chunk[:3, 3]
+        expected = []
+        for K, pose in zip(opened.scene.K, opened.scene.world_T_cam, strict=True):
+            camera = (world.numpy() - pose[:3, 3]) @ pose[:3, :3]
+            with np.errstate(divide="ignore"):
+                u, v = (camera @ K.T)[:, :2].T / camera[:, 2]
+            inside = (u >= -0.5) & (u < 79.5) & (v >= -0.5) & (v < 59.5)
+            expected.append((inside & (camera[:, 2] >= NEAR) & (camera[:, 2] <= 1.5)).mean())
+        found = opened.coverage(world_T_chunk, NEAR, 1.5)
+        np.testing.assert_allclose(found, expected, atol=0.009)  # one of 125 by rounding
+        shares.extend(found)
+    assert 0 < np.mean(np.array(shares) > 0.1) < 0.5
+
+
+def test_a_damaged_image_is_told_with_its_scene(box_scene: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(box_scene, broken)
+    for path in (broken / "color").iterdir():
+        path.write_bytes(path.read_bytes()[:-400])
+    with pytest.raises(TFLabError, match=r"broken.*damaged.*prepare it again"):
+        draw(broken, SMALL)
+    shutil.rmtree(broken / "color")
+    with pytest.raises(TFLabError, match=r"broken/color/00.*prepare it again"):
+        ChunkSampler([broken], SMALL, NEAR, FAR).record(0, 0, 1)
+
+
 def test_moving_a_batch(batch: ChunkBatch) -> None:
     moved = batch.to(torch.device("meta"))
     assert {v.device.type for v in vars(moved).values()} == {"meta"}
@@ -280,9 +331,9 @@ def test_moving_a_batch(batch: ChunkBatch) -> None:
 def test_nothing_to_train_on(box_scene: Path, tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match="no training scene"):
         ChunkSampler([], SMALL, NEAR, FAR)
-    many = sampler(box_scene, ChunkSettings(chunks=1, images=21, points=8))  # of 20 frames
+    many = ChunkSettings(chunks=1, images=21, points=8)  # of 20 frames
     with pytest.raises(TFLabError, match="no chunk with 21 images"):
-        many.batch(np.random.default_rng(0))
+        draw(box_scene, many)
     missing = ChunkSampler([tmp_path / "gone"], SMALL, NEAR, FAR)
     with pytest.raises(TFLabError, match=r"gone.*prepare"):
-        missing.batch(np.random.default_rng(0))
+        missing.record(0, 0, 0)

@@ -137,7 +137,20 @@ class Scene:
     def image(self, index: int) -> np.ndarray:
         """uint8 [H, W, 3] RGB. Raises TFLabError, naming file and cure, if it can't be read."""
         with self._repairable():
-            return read_image(self.directory / "color" / f"{self.frames[index]}.jpg")
+            return read_image(self._color_file(index))
+
+    def jpeg(self, index: int) -> bytes:
+        """The file of an image as it is stored. Raises TFLabError, as `image` does."""
+        path = self._color_file(index)
+        try:
+            return path.read_bytes()
+        except OSError as error:
+            raise TFLabError(
+                f"{path}: cannot be read ({error}); delete {self.directory} and prepare it again"
+            ) from error
+
+    def _color_file(self, index: int) -> Path:
+        return self.directory / "color" / f"{self.frames[index]}.jpg"
 
     def depth(self, index: int) -> np.ndarray | None:
         """float32 [H, W] camera z in metres, 0 where unknown; None without depth."""
