@@ -1,5 +1,6 @@
 """One room in every source's own layout: the same cameras, images, depth and mesh."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,11 @@ import pytest
 from layouts import LAYOUTS, room_frames
 from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.data.capture import Capture
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
+from tf_lab.data.scene import write_scene
+from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.network.network import Network
 from tf_lab.online.reconstructor import ReconstructionSettings
 from tf_lab.scoring import TestSettings, reconstruct
 
@@ -40,7 +45,29 @@ def test_the_layout_is_recognised_and_gives_the_same_capture(layout: str, tmp_pa
             np.testing.assert_allclose(depth, truth, atol=0.0011)
 
 
-def mesh_vertices(capture: Capture) -> np.ndarray:
-    network, _ = load_network(shipped_checkpoint())
-    settings = TestSettings(ReconstructionSettings(resolution=0.05), keyframe_distance=0.0)
-    return np.asarray(reconstruct(network, capture, settings).mesh.vertices)
+@lru_cache(maxsize=1)
+def network() -> Network:
+    return load_network(shipped_checkpoint())[0]
+
+
+def fscore(capture: Capture, groundtruth: Path) -> float:
+    settings = TestSettings(ReconstructionSettings(views=8, resolution=0.05))
+    return evaluate_scene(reconstruct(network(), capture, settings).mesh, groundtruth)["fscore"]
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """The room's ground truth, and the score of its reconstruction without any reader."""
+    scene = write_scene(tmp_path_factory.mktemp("room") / "room", room_frames(), {}, "room")
+    write_groundtruth(scene, scene.groundtruth, GroundTruthSettings())
+    scene.image = lambda i: room_frames()[i].image  # type: ignore[method-assign]  # before JPEG
+    return scene.groundtruth, fscore(scene, scene.groundtruth)
+
+
+@every_layout
+def test_the_layout_gives_the_same_mesh(
+    layout: str, tmp_path: Path, reference: tuple[Path, float]
+) -> None:
+    groundtruth, expected = reference
+    assert expected > 0.1
+    assert fscore(opened(layout, tmp_path), groundtruth) == pytest.approx(expected, abs=0.01)
