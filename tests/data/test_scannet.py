@@ -121,11 +121,9 @@ def test_a_stream_can_be_sent_to_a_worker_process(tmp_path: Path) -> None:
 
 def test_opening_reads_no_image(tmp_path: Path) -> None:
     stream = empty(color_size=(1296, 968), color_coding=JPEG)
-    for _ in range(8):
-        stream.add_coded(bytes(3_000_000), b"", np.eye(4))
+    for _ in range(COUNT):
+        stream.add_coded(bytes(2_000_000), b"", np.eye(4))
     path = stream.write(tmp_path / "large.sens")
-    stream.frames.clear()
-    stream.color_K = stream.depth_K = np.eye(3)
     assert peak(lambda: open_capture(path)) < 200_000
 
 
@@ -189,6 +187,7 @@ BAD_HEADERS: dict[str, dict[str, object]] = {
     "depth images of 100000x100000": {"depth_size": (100_000, 100_000)},
     "nan depth units": {"depth_shift": np.nan},
     "0 depth units": {"depth_shift": 0.0},
+    "1e-38 depth units": {"depth_shift": 1e-38},
     "depth: the principal point": {"depth_size": (2, 2)},
     "colour: not a camera matrix": {"color_K": np.zeros((3, 3))},
     "depth: not a camera matrix": {"depth_K": np.full((3, 3), np.nan)},

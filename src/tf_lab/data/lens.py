@@ -13,8 +13,10 @@ import numpy as np
 
 from tf_lab.errors import TFLabError
 
-MAX_ZOOM = 4.0  # how much a lens may change the focal length before it is taken for an error
+MAX_SLOPE = 1.75  # x / z: pinhole images wider than 120 degrees are mostly stretched pixels
+MAX_ZOOM = 4.0  # how much a lens may change the field of view before it is taken for an error
 MAX_PIXELS = 100_000_000
+MAX_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class Camera:
 
     def __post_init__(self) -> None:
         width, height = self.size
-        if not (width > 0 and height > 0 and width * height <= MAX_PIXELS):
+        possible = 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
+        if not possible or width * height > MAX_PIXELS:
             raise TFLabError(f"an image size of {width}x{height} is impossible")
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(values).all():
@@ -66,10 +69,12 @@ class Camera:
     @property
     def distorted(self) -> bool:
         """Whether straight lines are bent."""
-        return any(self.distortion)
+        return self.fisheye or any(self.distortion)
 
     def resized(self, size: tuple[int, int]) -> Camera:
         """The camera of the images after resizing them."""
+        if size == self.size:
+            return self
         sx, sy = size[0] / self.size[0], size[1] / self.size[1]
         cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
         return Camera(
@@ -84,17 +89,10 @@ class Camera:
         """
         if not self.distorted:
             return Camera(size, *_intrinsics(self.resized(size).K))
-        K, _, coefficients = self._opencv()
-        if self.fisheye:
-            new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-                K, coefficients, self.size, np.eye(3), balance=0.0
-            )
-        else:
-            new, _ = cv2.getOptimalNewCameraMatrix(K, coefficients, self.size, alpha=0)
-        zoom = new[[0, 1], [0, 1]] / K[[0, 1], [0, 1]]
-        if not ((zoom > 1 / MAX_ZOOM) & (zoom < MAX_ZOOM)).all():
-            raise TFLabError(f"the lens distortion {self.distortion} makes no sense; check it")
-        return Camera(self.size, *_intrinsics(new)).resized(size)
+        left, top, right, bottom = _field_of_view(self)
+        fx, fy = self.size[0] / (right - left), self.size[1] / (bottom - top)
+        whole = Camera(self.size, fx, fy, -0.5 - left * fx, -0.5 - top * fy)
+        return whole.resized(size)
 
     def _opencv(self) -> tuple[np.ndarray, bool, np.ndarray]:
         return self.K, self.fisheye, np.array(self.distortion or (0.0,) * 4, np.float64)
@@ -178,8 +176,50 @@ def _reproject(
 
 @lru_cache(maxsize=8)
 def _maps(camera: Camera, pinhole: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Where in the source image every pixel of the pinhole image lies: float32 [H, W], twice."""
-    K, fisheye, coefficients = camera._opencv()
+    return _source_pixels(camera, pinhole.K, pinhole.size)
+
+
+def _source_pixels(
+    camera: Camera, K: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where ``camera`` sees every pixel of a pinhole image: x and y, float32 [H, W] each."""
+    lens, fisheye, coefficients = camera._opencv()
     undistort = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
-    maps = undistort(K, coefficients, np.eye(3), pinhole.K, pinhole.size, cv2.CV_32FC1)
+    maps = undistort(lens, coefficients, np.eye(3), K, size, cv2.CV_32FC1)
     return maps[0], maps[1]
+
+
+def _field_of_view(camera: Camera) -> np.ndarray:
+    """The slopes x / z, y / z of left, top, right and bottom [4] of what a pinhole may see.
+
+    The largest field in the proportions of the image, then each side as far as the lens goes.
+
+    Raises:
+        TFLabError: it is not a fraction of what the camera would see without distortion.
+    """
+    width, height = camera.size
+    edges = np.array([-0.5 - camera.cx, -0.5 - camera.cy, width - 0.5 - camera.cx,
+                      height - 0.5 - camera.cy])  # fmt: skip
+    straight = edges / [camera.fx, camera.fy, camera.fx, camera.fy]
+    field = straight / MAX_ZOOM
+    if not _sees(camera, field):
+        raise TFLabError(f"the lens distortion {camera.distortion} makes no sense; check it")
+    for sides in (slice(None), 0, 1, 2, 3):
+        lower, upper = field, field.copy()
+        upper[sides] = np.clip(straight[sides] * MAX_ZOOM, -MAX_SLOPE, MAX_SLOPE)
+        for _ in range(20):  # halves the doubt: to a millionth
+            middle = (lower + upper) / 2
+            lower, upper = (middle, upper) if _sees(camera, middle) else (lower, middle)
+        field = lower
+    return field
+
+
+def _sees(camera: Camera, field: np.ndarray, samples: int = 33) -> bool:
+    """Whether a lens maps a field of view [4] into its image, without folding it."""
+    left, top, right, bottom = field
+    fx, fy = (samples - 1) / (right - left), (samples - 1) / (bottom - top)
+    K = np.array([[fx, 0, -left * fx], [0, fy, -top * fy], [0, 0, 1]])
+    x, y = _source_pixels(camera, K, (samples, samples))
+    width, height = camera.size
+    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+    return bool(inside.all() and (np.diff(x, axis=1) > 0).all() and (np.diff(y, axis=0) > 0).all())

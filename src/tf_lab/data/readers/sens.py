@@ -14,7 +14,6 @@ Such files have gigabytes: opening one reads the frames' heads, an image is read
 
 from __future__ import annotations
 
-import math
 import os
 import struct
 import zlib
@@ -33,6 +32,7 @@ VERSION = 4
 RAW, PNG, JPEG = 0, 1, 2
 RAW_DEPTH, ZLIB_DEPTH = 0, 1
 MAX_NAME = 4096  # bytes of the sensor's name
+MAX_SCALE = 1e6  # depth units a metre
 CURE = "download it again, or have it written by ScanNet's tools"
 
 _NAME = struct.Struct("<IQ")
@@ -233,7 +233,7 @@ def _check(header: SensHeader, path: Path) -> None:
             f"{path}: unknown depth coding {header.depth_coding}; write it with zlib depth (1), as "
             "ScanNet's published files"
         )
-    if not (math.isfinite(header.depth_scale) and header.depth_scale > 0):
+    if not 1 <= header.depth_scale <= MAX_SCALE:
         raise TFLabError(f"{path}: {header.depth_scale:g} depth units a metre: damaged; {CURE}")
 
 
