@@ -14,7 +14,7 @@ import numpy as np
 from tf_lab.errors import TFLabError
 
 MAX_SLOPE = 1.75  # x / z: pinhole images wider than 120 degrees are mostly stretched pixels
-MAX_ZOOM = 4.0  # how much a lens may change the field of view before it is taken for an error
+MAX_ZOOM = 2.0  # how much a lens may change the field of view before it is taken for an error
 MAX_PIXELS = 100_000_000
 MAX_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
 
@@ -152,7 +152,8 @@ def register_depth(
     scale = min(1.0, depth.shape[1] / pinhole.size[0], depth.shape[0] / pinhole.size[1])
     size = (max(1, round(pinhole.size[0] * scale)), max(1, round(pinhole.size[1] * scale)))
     moved = _reproject(depth, straight, pinhole.resized(size), pinhole_T_camera)
-    return np.asarray(cv2.resize(moved, pinhole.size, interpolation=cv2.INTER_NEAREST))
+    # (INTER_NEAREST is half a pixel off)
+    return np.asarray(cv2.resize(moved, pinhole.size, interpolation=cv2.INTER_NEAREST_EXACT))
 
 
 def _reproject(
@@ -192,26 +193,37 @@ def _source_pixels(
 def _field_of_view(camera: Camera) -> np.ndarray:
     """The slopes x / z, y / z of left, top, right and bottom [4] of what a pinhole may see.
 
-    The largest field in the proportions of the image, then each side as far as the lens goes.
+    A proposal, as much smaller as needed, then each side as far as the lens goes.
 
     Raises:
-        TFLabError: it is not a fraction of what the camera would see without distortion.
+        TFLabError: it is a small fraction of what the camera would see without distortion.
     """
-    width, height = camera.size
-    edges = np.array([-0.5 - camera.cx, -0.5 - camera.cy, width - 0.5 - camera.cx,
-                      height - 0.5 - camera.cy])  # fmt: skip
-    straight = edges / [camera.fx, camera.fy, camera.fx, camera.fy]
-    field = straight / MAX_ZOOM
+    straight = _slopes(camera.K, camera.size)
+    widest = np.clip(straight * MAX_ZOOM, -MAX_SLOPE, MAX_SLOPE)
+    field, proposal = straight / MAX_ZOOM, widest
     if not _sees(camera, field):
         raise TFLabError(f"the lens distortion {camera.distortion} makes no sense; check it")
-    for sides in (slice(None), 0, 1, 2, 3):
+    if not camera.fisheye:  # OpenCV's is as good as the lens is ordinary, else anything
+        K, _ = cv2.getOptimalNewCameraMatrix(*camera._opencv()[::2], camera.size, alpha=0)
+        if np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0:
+            bounds = np.sort([field, widest], axis=0)
+            proposal = np.clip(_slopes(K, camera.size), *bounds)
+    for sides, farthest in ((slice(None), proposal), *((side, widest) for side in range(4))):
         lower, upper = field, field.copy()
-        upper[sides] = np.clip(straight[sides] * MAX_ZOOM, -MAX_SLOPE, MAX_SLOPE)
+        upper[sides] = farthest[sides]
+        if _sees(camera, upper):
+            lower = upper
         for _ in range(20):  # halves the doubt: to a millionth
             middle = (lower + upper) / 2
             lower, upper = (middle, upper) if _sees(camera, middle) else (lower, middle)
         field = lower
     return field
+
+
+def _slopes(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Slopes x / z, y / z at the left, top, right and bottom edges [4] of pinhole images."""
+    edges = np.array([-0.5, -0.5, size[0] - 0.5, size[1] - 0.5])
+    return (edges - K[[0, 1, 0, 1], 2]) / K[[0, 1, 0, 1], [0, 1, 0, 1]]
 
 
 def _sees(camera: Camera, field: np.ndarray, samples: int = 33) -> bool:
