@@ -113,11 +113,9 @@ def attempt(source: Path, options: dict[str, object]) -> None:
 def main(layout: str, count: int) -> None:
     """Try ``count`` damaged copies."""
     frames = [
-        Frame(f.name, f.image[::4, ::4], f.K, f.world_T_cam, f.depth[::4, ::4])
+        Frame(f.name, f.image[::4, ::4], f.K / [[4], [4], [1]], f.world_T_cam, f.depth[::4, ::4])
         for f in room_frames()[:5]
     ]
-    for frame in frames:
-        frame.K[:2] /= 4
     in_use = resource.getpagesize() * int(Path("/proc/self/statm").read_text().split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (in_use + MEMORY, in_use + MEMORY))
     module, failures, refused = LAYOUTS[layout], [], 0

@@ -18,8 +18,7 @@ from tf_lab.online.reconstructor import ReconstructionSettings
 from tf_lab.scoring import TestSettings, reconstruct
 
 every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))
-LOSSY = ("arkit", "video")  # their images are coded with loss
-NO_DEPTH = ("colmap", "arkit", "video")
+NO_DEPTH = ("colmap_text", "colmap_binary", "arkit", "video")
 
 
 def opened(layout: str, tmp_path: Path) -> Capture:
@@ -37,7 +36,7 @@ def test_the_layout_is_recognised_and_gives_the_same_capture(layout: str, tmp_pa
     np.testing.assert_allclose(capture.K, np.stack([frame.K for frame in frames]), atol=1e-5)
     for i in range(0, len(frames), 5):
         difference = np.abs(capture.image(i).astype(float) - frames[i].image)
-        assert difference.mean() < (4.0 if layout in LOSSY else 0.01)
+        assert difference.mean() < 0.01
         depth, truth = capture.depth(i), frames[i].depth
         if layout in NO_DEPTH:
             assert depth is None

@@ -7,13 +7,25 @@ user of that source has to add to `open_capture`.
 from functools import lru_cache
 from types import ModuleType
 
-from layouts import plain, scannet, sens, seven_scenes, tum
+from layouts import (
+    arkit,
+    colmap_binary,
+    colmap_text,
+    plain,
+    scannet,
+    sens,
+    seven_scenes,
+    transforms,
+    tum,
+    video,
+)
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame
 
-LAYOUTS: dict[str, ModuleType] = {
-    module.__name__.split(".")[-1]: module for module in (plain, seven_scenes, scannet, sens, tum)
-}
+MODULES = (
+    plain, seven_scenes, scannet, sens, tum, transforms, colmap_text, colmap_binary, arkit, video,
+)  # fmt: skip
+LAYOUTS: dict[str, ModuleType] = {module.__name__.split(".")[-1]: module for module in MODULES}
 
 
 @lru_cache(maxsize=1)

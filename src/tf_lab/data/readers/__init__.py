@@ -17,7 +17,16 @@ import numpy as np
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.gravity import align, find_down
-from tf_lab.data.readers import plain, scannet, seven_scenes, tum
+from tf_lab.data.readers import (
+    arkit,
+    colmap,
+    plain,
+    scannet,
+    seven_scenes,
+    transforms,
+    tum,
+    video,
+)
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -38,7 +47,16 @@ class Reader(Protocol):
         ...
 
 
-READERS: tuple[Reader, ...] = (seven_scenes, plain, scannet, tum)
+READERS: tuple[Reader, ...] = (
+    seven_scenes,
+    plain,
+    scannet,
+    tum,
+    transforms,
+    colmap,
+    arkit,
+    video,
+)
 SCENE = "scene"
 
 

@@ -1,0 +1,124 @@
+"""Frames of video files by their number, exactly: decoded in order, never sought.
+
+Seeking by time or key frame is off by frames in many files, so frame i is the i-th that the
+decoder gives, as for every tool that extracts all frames. Going forward decodes on, going back
+starts again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tf_lab.errors import TFLabError
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+CURE = "convert it with ffmpeg to an .mp4, or extract its frames into images/"
+
+
+class Video:
+    """A video file. May be pickled; for one process and thread at a time.
+
+    Args:
+        path: the file.
+        upright: turn the frames as the file's metadata ask for (phones held upright store them
+            lying), as players and ffmpeg do; False gives the pixels as the sensor has them.
+
+    Attributes:
+        size: (width, height) of the frames.
+
+    Raises:
+        TFLabError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path, upright: bool = True) -> None:
+        self.path = path
+        self.upright = upright
+        self._end: int | None = None  # no frame from here on can be decoded
+        capture = self._start()
+        width, height = (
+            capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+        self.size = (int(width), int(height))
+        self._declared = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_capture": None}
+
+    def read(self, index: int) -> np.ndarray:
+        """Frame ``index`` from 0, uint8 [H, W, 3] RGB. Raises TFLabError if it can't be decoded."""
+        with _quiet():
+            try:
+                image = self._capture.retrieve()[1] if self._reach(index) else None
+                if image is not None:
+                    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+            except cv2.error:
+                pass
+        raise TFLabError(f"{self.path}: frame {index} cannot be decoded; {CURE}")
+
+    def count(self, expected: int) -> int:
+        """The number of frames, as far as it matters: more than one too many are not counted.
+
+        What the file declares is believed if it is ``expected``. Some files only declare an
+        estimate: otherwise all frames are decoded, which takes a while.
+        """
+        if self._declared == expected:
+            return expected
+        with _quiet():
+            self._reach(expected)
+        return self._position + 1
+
+    def _start(self) -> cv2.VideoCapture:
+        with _quiet():
+            self._capture: Any = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG)
+            self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self.upright))
+        self._position = -1  # the number of the frame that the decoder holds
+        if not self._capture.isOpened():
+            raise TFLabError(f"{self.path}: cannot be read as a video; {CURE}")
+        return self._capture
+
+    def _reach(self, index: int) -> bool:
+        """Whether the decoder holds frame ``index``, after decoding up to it."""
+        if self._capture is None or index < self._position:
+            self._start()
+        while self._position < index:
+            # after a failure the decoder may go on, but with which frame nobody knows
+            if self._position + 1 == self._end or not self._capture.grab():
+                self._end = self._position + 1
+                return False
+            self._position += 1
+        return True
+
+
+@dataclass(frozen=True)
+class VideoFrame:
+    """uint8 [H, W, 3] of a frame of a video."""
+
+    video: Video
+    index: int
+
+    def __call__(self) -> np.ndarray:
+        """Decode it."""
+        return self.video.read(self.index)
+
+    def __str__(self) -> str:
+        return f"{self.video.path}, frame {self.index}"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the decoder's own complaints: they have their exception."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read once, by OpenCV
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)

@@ -1,0 +1,33 @@
+"""A video, poses.txt, K.txt. The video is coded without loss, so that images can be compared."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tf_lab.data.scene import Frame
+
+OPTIONS: dict[str, Any] = {"gravity": [0, 0, -1]}
+
+
+def write_video(path: Path, images: Sequence[np.ndarray], codec: str = "png ") -> None:
+    """RGB images as a video."""
+    height, width = images[0].shape[:2]
+    fourcc = cv2.VideoWriter_fourcc(*codec)  # type: ignore[attr-defined]
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, 30, (width, height))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(np.ascontiguousarray(image[:, :, ::-1]))
+    writer.release()
+
+
+def write(directory: Path, frames: Sequence[Frame]) -> Path:
+    """Write the frames and return what to open."""
+    directory.mkdir(parents=True)
+    write_video(directory / "walk.mov", [frame.image for frame in frames])
+    poses = np.stack([frame.world_T_cam.reshape(16) for frame in frames])
+    np.savetxt(directory / "poses.txt", poses, fmt="%.17g")
+    np.savetxt(directory / "K.txt", frames[0].K, fmt="%.17g")
+    return directory
