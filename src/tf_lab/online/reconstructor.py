@@ -163,12 +163,15 @@ class Reconstructor:
         K, pose = self.frames.poses[frame]
         lower, upper = frustum_box(K, pose, self.frames.size, config.near, config.far)
         voxels = voxels_in(lower, upper, COARSE, self.device)
-        seen = self.frames.visible((voxels.float() + 0.5) * COARSE, frame)
-        voxels_seen = voxels[seen]
-        self.coarse.allocate(self.coarse.blocks.block_of(voxels_seen))
-        self._offer(self.coarse, frame, self.coarse.blocks.row_of(voxels_seen))
-        blocks = self.fine.blocks.find(voxels)
-        self._see_fine(frame, self.fine.blocks.rows_in(blocks[blocks >= 0]))
+        known = self.fine.blocks.find(voxels)
+        self._see_coarse(frame, voxels)
+        self._see_fine(frame, self.fine.blocks.rows_in(known[known >= 0]))
+
+    def _see_coarse(self, frame: int, voxels: Tensor) -> None:
+        """Offer a frame to those of coarse voxels [P, 3] that it sees."""
+        voxels = voxels[self.frames.visible((voxels.float() + 0.5) * COARSE, frame)]
+        self.coarse.allocate(self.coarse.blocks.block_of(voxels))
+        self._offer(self.coarse, frame, self.coarse.blocks.row_of(voxels))
 
     def _see_fine(self, frame: int, rows: Tensor) -> None:
         """Offer a frame to those of fine voxels (rows) that it sees."""
