@@ -112,13 +112,11 @@ class Frames:
         """Bilinear samples [P, C] of the frames' maps at pixels [P, 2], as `sample_maps`."""
         if len(self._resident) == len(self):
             return self._gather(level, frames, uv)
-        out: Tensor | None = None
+        pool = self._pools[level]["maps"]
+        out = pool.new_empty(len(uv), pool.shape[-1])
         for group in self._groups(frames.unique().tolist()):
             where = torch.isin(frames, torch.tensor(group, device=frames.device))
-            found = self._gather(level, frames[where], uv[where])
-            out = found.new_empty(len(uv), found.shape[1]) if out is None else out
-            out[where] = found
-        assert out is not None
+            out[where] = self._gather(level, frames[where], uv[where])
         return out
 
     def _gather(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
@@ -155,8 +153,7 @@ class Frames:
         """How many frames' maps may be there at once."""
         if self.budget is None or not self._pools:
             return max(len(self), 1)
-        each = sum(pool["maps"][0].nbytes for pool in self._pools.values())
-        return max(1, self.budget // each)
+        return max(1, self.budget // sum(pool.row_nbytes for pool in self._pools.values()))
 
     def _load(self, frame: int) -> None:
         """Encode a frame into a free slot, or into that of the maps unused for longest."""
@@ -168,11 +165,12 @@ class Frames:
                 self._pools[level] = Table(self.maps_device)
                 self._pools[level].add_column("maps", (h * w, c), self.dtype, 0)
         slot = len(self._resident)
-        if slot >= self._capacity():
+        most = self._capacity()
+        if slot >= most:
             old, slot = self._resident.popitem(last=False)
             self._slot[old] = -1
         for level, pool in self._pools.items():
-            pool.grow(max(slot + 1, pool.rows))
+            pool.grow(max(slot + 1, pool.rows), None if self.budget is None else most)
             pool["maps"][slot] = found[level][0].flatten(1).T.to(self.maps_device, self.dtype)
         self._slot[frame] = slot
         self._resident[frame] = slot

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -145,6 +146,19 @@ class Reconstructor:
             weights[known] = store.fuse(rows[known], self.settings.batch)[1]
         frames[known] = store.store.frames[rows[known]].long()
         return frames.cpu().numpy(), weights.cpu().numpy()
+
+    def save(self, path: Path) -> None:
+        """Write frames and view sets to a file, whole or not at all (see `state`)."""
+        from tf_lab.online.state import save_reconstruction
+
+        save_reconstruction(self, path)
+
+    @classmethod
+    def load(cls, path: Path, network: Network) -> Reconstructor:
+        """Go on with what `save` wrote, with the same network."""
+        from tf_lab.online.state import load_reconstruction
+
+        return load_reconstruction(path, network)
 
     @property
     def memory(self) -> dict[str, int]:

@@ -34,11 +34,18 @@ class Table:
     def __getitem__(self, name: str) -> Tensor:
         return self._columns[name][: self.rows]
 
-    def grow(self, rows: int) -> None:
-        """Make it ``rows`` long."""
+    @property
+    def row_nbytes(self) -> int:
+        """Memory of one row."""
+        columns = self._columns.values()
+        return sum(c.shape[1:].numel() * c.element_size() for c in columns)
+
+    def grow(self, rows: int, limit: int | None = None) -> None:
+        """Make it ``rows`` long, without spare room beyond ``limit`` rows."""
         for name, column in self._columns.items():
             if len(column) < rows:
-                length = max(rows, round(len(column) * GROWTH))
+                spare = round(len(column) * GROWTH)
+                length = max(rows, spare if limit is None else min(spare, limit))
                 larger = column.new_full((length, *column.shape[1:]), self._fill[name])
                 larger[: self.rows] = column[: self.rows]
                 self._columns[name] = larger
