@@ -173,13 +173,11 @@ class Reconstructor:
 
     def _see(self, frame: int) -> None:
         """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
-        config = self.network.config
-        K, pose = self.frames.poses[frame]
-        lower, upper = frustum_box(K, pose, self.frames.size, config.near, config.far)
+        lower, upper = self._box(frame)
         voxels = voxels_in(lower, upper, COARSE, self.device)
         known = self.fine.blocks.find(voxels)
         self._see_coarse(frame, voxels)
-        self._see_fine(frame, self.fine.blocks.rows_in(known[known >= 0]))
+        self._see_fine(frame, known[known >= 0])
 
     def _see_coarse(self, frame: int, voxels: Tensor) -> None:
         """Offer a frame to those of coarse voxels [P, 3] that it sees."""
@@ -187,18 +185,28 @@ class Reconstructor:
         self.coarse.allocate(self.coarse.blocks.block_of(voxels))
         self._offer(self.coarse, frame, self.coarse.blocks.row_of(voxels))
 
-    def _see_fine(self, frame: int, rows: Tensor) -> None:
-        """Offer a frame to those of fine voxels (rows) that it sees."""
+    def _see_fine(self, frame: int, blocks: Tensor) -> None:
+        """Offer a frame to those of the voxels of fine blocks [N] that it sees."""
+        self._offer_seen(frame, self.fine.blocks.rows_in(blocks))
+
+    def _offer_seen(self, frame: int, rows: Tensor) -> None:
         self._offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
 
     def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
         level.offer(frame, rows)
 
-    def _replay(self, blocks: Tensor) -> None:
+    def _replay(self, coords: Tensor) -> None:
         """Offer all frames so far to new fine blocks at coordinates [N, 3]."""
-        rows = self.fine.blocks.rows_in(self.fine.blocks.find(blocks))
+        blocks = self.fine.blocks.find(coords)
         for frame in range(len(self.frames)):
-            self._see_fine(frame, rows)
+            lower, upper = (coords.new_tensor(np.floor(c / COARSE)) for c in self._box(frame))
+            inside = (coords >= lower - 1).all(1) & (coords <= upper + 1).all(1)
+            self._offer_seen(frame, self.fine.blocks.rows_in(blocks[inside]))
+
+    def _box(self, frame: int) -> Box:
+        """What a frame may see."""
+        near, far = self.network.config.near, self.network.config.far
+        return frustum_box(*self.frames.poses[frame], self.frames.size, near, far)
 
     def _checked(
         self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray
