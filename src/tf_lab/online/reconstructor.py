@@ -29,7 +29,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, is_valid_pose
 from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
-from tf_lab.online.frustum import frustum_box, voxels_in
+from tf_lab.online.frustum import frustum_box, frustum_planes, voxels_in
 from tf_lab.online.level import Box, Level
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.pipeline import Pipeline
@@ -173,8 +173,8 @@ class Reconstructor:
 
     def _see(self, frame: int) -> None:
         """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
-        lower, upper = self._box(frame)
-        voxels = voxels_in(lower, upper, COARSE, self.device)
+        voxels = voxels_in(*frustum_box(*self._frustum(frame)), COARSE, self.device)
+        voxels = voxels[self._touched(voxels, frame)]
         known = self.fine.blocks.find(voxels)
         self._see_coarse(frame, voxels)
         self._see_fine(frame, known[known >= 0])
@@ -199,14 +199,21 @@ class Reconstructor:
         """Offer all frames so far to new fine blocks at coordinates [N, 3]."""
         blocks = self.fine.blocks.find(coords)
         for frame in range(len(self.frames)):
-            lower, upper = (coords.new_tensor(np.floor(c / COARSE)) for c in self._box(frame))
-            inside = (coords >= lower - 1).all(1) & (coords <= upper + 1).all(1)
-            self._offer_seen(frame, self.fine.blocks.rows_in(blocks[inside]))
+            touched = blocks[self._touched(coords, frame)]
+            self._offer_seen(frame, self.fine.blocks.rows_in(touched))
 
-    def _box(self, frame: int) -> Box:
-        """What a frame may see."""
+    def _touched(self, voxels: Tensor, frame: int) -> Tensor:
+        """Coarse voxels [P, 3] that a frustum may touch: bool [P], true for all that it does."""
+        normals, offsets = (
+            torch.from_numpy(x).float().to(self.device)
+            for x in frustum_planes(*self._frustum(frame))
+        )
+        inside = ((voxels.float() + 0.5) * COARSE) @ normals.T + offsets
+        return (inside > -COARSE).all(1)  # a voxel's corner is 0.87 edges from its centre
+
+    def _frustum(self, frame: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int], float, float]:
         near, far = self.network.config.near, self.network.config.far
-        return frustum_box(*self.frames.poses[frame], self.frames.size, near, far)
+        return (*self.frames.poses[frame], self.frames.size, near, far)
 
     def _checked(
         self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray
