@@ -133,10 +133,11 @@ def test_a_corrupt_image_changes_nothing_but_the_count(tiny_network: Factory, sc
 
 @pytest.mark.slow
 @torch.inference_mode()
-def test_a_long_walk(small_network: Any) -> None:
+def test_a_long_walk(tiny_network: Factory) -> None:
     """2000 frames, twice through four rooms: bounded memory, and one mesh without seams."""
     budget = 2 << 20
-    r = Reconstructor(small_network, settings_of(views=4, maps="float16", maps_budget=budget))
+    network = tiny_network(far=4.0)
+    r = Reconstructor(network, settings_of(views=4, maps="float16", maps_budget=budget))
     rooms = Rooms(4)
     rooms.install(r)
     sizes = []

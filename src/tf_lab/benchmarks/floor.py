@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from tf_lab.benchmarks.measure import BenchmarkSettings, prepared
+from tf_lab.benchmarks.measure import BenchmarkSettings, measurements, prepared
 from tf_lab.benchmarks.rooms import walk
 from tf_lab.benchmarks.stopwatch import Stopwatch
 from tf_lab.network.network import Network
@@ -25,7 +26,7 @@ def rates(device: torch.device, dtype: torch.dtype) -> dict[str, float]:
 
     def best(work: Any) -> float:
         times = []
-        for _ in range(5):
+        for _ in range(20):
             start = watch.now()
             work()
             times.append(watch.now() - start)
@@ -38,34 +39,32 @@ def rates(device: torch.device, dtype: torch.dtype) -> dict[str, float]:
 
 
 @torch.inference_mode()
-def floor(network: Network, settings: BenchmarkSettings, eager: bool) -> dict[str, float]:
-    """FLOPs and least bytes of adding a frame, and the time that they must take: milliseconds."""
+def floor(
+    network: Network, settings: BenchmarkSettings, eager: bool, rate: Mapping[str, float]
+) -> dict[str, float]:
+    """FLOPs and least bytes of adding a frame, and the time that they take at best: milliseconds.
+
+    ``rate`` is what `rates` measured.
+    """
     r = prepared(network, settings, 1, eager)
     frame = next(walk(range(1), settings.frames + 1, settings.size))
-    seen = _measurements(r)
+    seen = measurements(r)
     with FlopCounterMode(display=False) as counter:
         r.add_frame(*frame)
     flops = counter.get_total_flops()
-    moved = _bytes(r, _measurements(r) - seen)
-    rate = rates(r.device, DTYPES[r.settings.precision])
+    moved = _bytes(r, measurements(r) - seen)
     return {
         "flops": flops,
         "bytes": moved,
-        "flop rate": rate["flops"],
-        "byte rate": rate["bytes"],
         "ms": 1000 * max(flops / rate["flops"], moved / rate["bytes"]),
     }
 
 
-def _measurements(r: Reconstructor) -> int:
-    return sum(int(x.store.seen.sum()) for x in (r.coarse, r.fine))
-
-
-def _bytes(r: Reconstructor, measurements: int) -> float:
+def _bytes(r: Reconstructor, count: int) -> float:
     """What must be read or written at least: weights, image, maps, samples and view sets."""
     weights = sum(p.nbytes for p in r.network.encoder.parameters())
     maps = r.frames.nbytes / len(r.frames)
     features = r.network.config.encoder["fine_channels"]
     sample = 4 * features * DTYPES[r.settings.maps].itemsize
     sets = 2 * r.fine.store.nbytes / max(1, r.fine.blocks.rows)
-    return weights + r.frames.images[0].nbytes + maps + measurements * (sample + sets)
+    return weights + r.frames.images[0].nbytes + maps + count * (sample + sets)

@@ -156,11 +156,13 @@ def against_size(network: Network, settings: BenchmarkSettings) -> list[dict[str
         voxels = sum(int((x.store.seen > 0).sum()) for x in (r.coarse, r.fine))
         low, high = (f(r.coarse.blocks.coords * 3) for f in (_least, _most))
         box = float(np.prod(high - low + 3)) * (1 + (COARSE / FINE) ** 3)
-        memory = r.memory
+        memory, before = r.memory, measurements(r)
+        took = _median_frame(r, settings, last)
         found.append(
             {
                 "rooms": rooms,
-                "ms a frame": _median_frame(r, settings, last),
+                "ms a frame": took,
+                "voxels a frame": (measurements(r) - before) / settings.timed,
                 "voxels seen": voxels,
                 "voxels in the bounding box": round(box),
                 "memory": memory,
@@ -181,6 +183,11 @@ def against_count(network: Network, settings: BenchmarkSettings) -> list[dict[st
         before = len(r.frames)
         found.append({"frames": before, "ms a frame": _median_frame(r, settings, range(1))})
     return found
+
+
+def measurements(r: Reconstructor) -> int:
+    """How often any voxel has been seen by any frame."""
+    return sum(int(x.store.seen.sum()) for x in (r.coarse, r.fine))
 
 
 def _median_frame(r: Reconstructor, settings: BenchmarkSettings, rooms: range) -> float:

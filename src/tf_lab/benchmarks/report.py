@@ -64,11 +64,21 @@ def _chunk(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
 
 
 def _size(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
-    head = ["rooms", "ms a frame", "voxels", "in the box", "sets MiB", "bytes a voxel", "all MiB"]
+    head = [
+        "rooms",
+        "ms a frame",
+        "it sees",
+        "voxels",
+        "in the box",
+        "sets MiB",
+        "bytes a voxel",
+        "all MiB",
+    ]
     rows = [
         [
             f"{x['rooms']}",
             f"{x['ms a frame']:.2f}",
+            f"{x['voxels a frame']:.0f}",
             f"{x['voxels seen']}",
             f"{x['voxels in the bounding box']}",
             f"{x['memory']['view sets'] / MIB:.1f}",
@@ -94,8 +104,8 @@ def _floor(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
                 mode,
                 f"{x['flops'] / 1e9:.2f}",
                 f"{x['bytes'] / 1e9:.3f}",
-                f"{x['flop rate'] / 1e9:.0f}",
-                f"{x['byte rate'] / 1e9:.1f}",
+                f"{found['rates']['flops'] / 1e9:.0f}",
+                f"{found['rates']['bytes'] / 1e9:.1f}",
                 f"{x['ms']:.2f}",
                 f"{total / x['ms']:.1f}",
             ]

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tf_lab.benchmarks import measure
-from tf_lab.benchmarks.floor import floor
+from tf_lab.benchmarks.floor import floor, rates
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.network.network import Network
+from tf_lab.online.settings import DTYPES
 from tf_lab.progress import progress_bar
 
 
@@ -31,7 +32,9 @@ def run_all(
     """
     filtered, most = networks[True], max(views)
     modes = ("lazy", "eager") if eager else ("lazy",)
-    found: dict[str, Any] = {"views": most, "frame": {}, "floor": {}}
+    device = next(filtered.parameters()).device
+    rate = rates(device, DTYPES[settings.reconstruction.precision])
+    found: dict[str, Any] = {"views": most, "frame": {}, "floor": {}, "rates": rate}
     with progress_bar() as bar:
         steps = len(modes) * (len(views) + 2) + 4
         task = bar.add_task("", total=steps)
@@ -49,7 +52,7 @@ def run_all(
                 networks[False], settings, is_eager, most
             )
             start(f"{mode} floor")
-            found["floor"][mode] = floor(filtered, settings, is_eager)
+            found["floor"][mode] = floor(filtered, settings, is_eager, rate)
         start("meshing a chunk")
         found["chunk"] = measure.per_chunk(filtered, settings)
         found["chunk"].update(measure.fusion(filtered, settings))
@@ -57,7 +60,6 @@ def run_all(
         found["size"] = measure.against_size(filtered, settings)
         start("frame counts")
         found["count"] = measure.against_count(filtered, settings)
-    device = next(filtered.parameters()).device
     found["peak memory"] = measure.peak_memory(device)
     found["ratios"] = ratios(found)
     return found
