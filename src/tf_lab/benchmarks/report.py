@@ -148,10 +148,13 @@ def draw(found: Mapping[str, Any], path: Path) -> None:
 
 
 def _stack(axes: Any, bars: Mapping[str, Any], stages: Sequence[str], title: str) -> None:
+    """The stages' shares, the totals above: machines differ too much for one scale."""
     bottom = [0.0] * len(bars)
     for stage in stages:
-        values = [bar.get(stage, 0.0) for bar in bars.values()]
+        values = [100 * bar.get(stage, 0.0) / bar["total"] for bar in bars.values()]
         axes.bar(list(bars), values, bottom=bottom, label=stage)
         bottom = [b + v for b, v in zip(bottom, values, strict=True)]
-    axes.set(ylabel="ms", title=title)
-    axes.legend(fontsize=8)
+    for i, bar in enumerate(bars.values()):
+        axes.text(i, 101, f"{bar['total']:,.0f} ms", ha="center")
+    axes.set(ylabel="%", ylim=(0, 108), title=title)
+    axes.legend(fontsize=8, loc="lower right", framealpha=0.9)
