@@ -157,4 +157,4 @@ def _stack(axes: Any, bars: Mapping[str, Any], stages: Sequence[str], title: str
     for i, bar in enumerate(bars.values()):
         axes.text(i, 101, f"{bar['total']:,.0f} ms", ha="center")
     axes.set(ylabel="%", ylim=(0, 108), title=title)
-    axes.legend(fontsize=8, loc="lower right", framealpha=0.9)
+    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=2)
