@@ -147,8 +147,11 @@ def make_batch(
     hold more than ``settings.images``.
 
     Raises:
-        TFLabError: an image is damaged.
+        TFLabError: an image is damaged, or they are of several sizes.
     """
+    sizes = sorted({r.size for r in records})
+    if len(sizes) > 1:
+        raise TFLabError(f"images of {sizes} pixels in one batch; prepare all scenes at one size")
     rng = np.random.default_rng([seed, rank, step, 1])  # without the 1: a record's, see `record`
     keep = int(rng.choice(settings.views)) if settings.views else 0
     ranked = bool(rng.random() < settings.ranked)
