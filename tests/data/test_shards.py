@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tarfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ import numpy as np
 import pytest
 import torch
 
-from small_shards import COUNT, SEED, SETTINGS, sampler, write
+from small_shards import COUNT, SEED, SETTINGS, run_here, sampler, write
+from tf_lab.data import shards
 from tf_lab.data.scene import Scene
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import read_records
@@ -124,6 +126,18 @@ def test_killed_and_started_again_ends_with_equal_bytes(box_scene: Path, tmp_pat
     for directory in (killed, whole):
         write(directory, sampler(box_scene), 400, per_shard=100)
     assert contents(killed) == contents(whole)
+
+
+def test_two_writers_at_once_do_no_harm(
+    written: Path, box_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shards, "run_tasks", run_here)
+    with ThreadPoolExecutor(2) as pool:
+        two = [
+            pool.submit(write_shards, tmp_path, sampler(box_scene), COUNT, SEED, 5) for _ in "ab"
+        ]
+    assert [writer.result() for writer in two] == [tmp_path / "shards.json"] * 2
+    assert contents(tmp_path) == contents(written)
 
 
 def test_a_directory_is_for_one_set(written: Path, box_scene: Path, tmp_path: Path) -> None:

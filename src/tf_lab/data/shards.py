@@ -169,8 +169,9 @@ def _claim(directory: Path, plan: Mapping[str, Any]) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     remove_abandoned(directory)
     path = directory / PLAN
+    shards = list(directory.glob("chunks-*.tar"))  # before the plan: it is written before them
     if not path.exists():
-        if any(directory.glob("chunks-*.tar")):
+        if shards:
             raise TFLabError(f"{directory}: has shards of unknown origin; choose another directory")
         write_json(path, plan)
     try:
