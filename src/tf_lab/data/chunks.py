@@ -74,14 +74,14 @@ class ChunkRecord:
     points: Tensor
     sdf: Tensor
 
-    def decoded(self, chosen: Sequence[int]) -> Tensor:
-        """Some of the images, uint8 [V, 3, H, W].
+    def decode(self, chosen: Sequence[int], images: np.ndarray) -> None:
+        """Decode some of the images into an array, uint8 [V, 3, H, W].
 
         Raises:
             TFLabError: one is damaged.
         """
         try:
-            return torch.from_numpy(decode_jpegs([self.images[i] for i in chosen], self.size))
+            decode_jpegs([self.images[i] for i in chosen], images)
         except ValueError as error:
             raise TFLabError(
                 f"{self.scene}: an image of {', '.join(self.frames)} is damaged ({error}); delete "
@@ -157,8 +157,12 @@ def make_batch(
     ranked = bool(rng.random() < settings.ranked)
     chosen = [_choose(len(r.images), settings.images, rng) for r in records]
     views = list(zip(records, chosen, strict=True))
+    width, height = sizes[0]
+    images = np.empty((len(records), len(chosen[0]), 3, height, width), np.uint8)
+    for (record, view), row in zip(views, images, strict=True):
+        record.decode(view, row)
     return ChunkBatch(
-        images=torch.stack([r.decoded(v) for r, v in views]),
+        images=torch.from_numpy(images),
         K=torch.stack([r.K[v] for r, v in views]),
         world_T_cam=torch.stack([r.world_T_cam[v] for r, v in views]),
         coarse_target=torch.stack([r.coarse_target for r in records]),

@@ -27,20 +27,19 @@ def jpeg_size(data: bytes) -> tuple[int, int]:
     raise ValueError("not a JPEG file")
 
 
-def decode_jpegs(files: Sequence[bytes], size: tuple[int, int]) -> np.ndarray:
-    """JPEG files, all of one (width, height), as uint8 [V, 3, H, W] RGB.
+def decode_jpegs(files: Sequence[bytes], images: np.ndarray) -> None:
+    """Decode JPEG files, all of one size, into ``images``, uint8 [V, 3, H, W] RGB.
 
     Raises:
         ValueError: one is damaged, cut off or of another size; told before much is allocated.
     """
-    images = np.empty((len(files), 3, size[1], size[0]), np.uint8)
-    for i, data in enumerate(files):
+    height, width = images.shape[2:]
+    for data, (red, green, blue) in zip(files, images, strict=True):
         found = jpeg_size(data)
-        if found != size:
-            raise ValueError(f"it is {found[0]}x{found[1]}, not {size[0]}x{size[1]}")
+        if found != (width, height):
+            raise ValueError(f"it is {found[0]}x{found[1]}, not {width}x{height}")
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data.endswith(_END) else None
-        if bgr is None:
+        if bgr is None or bgr.shape != (height, width, 3):
             raise ValueError("not a whole JPEG file")
-        images[i] = bgr[:, :, ::-1].transpose(2, 0, 1)
-    return images
+        cv2.split(bgr, [blue, green, red])

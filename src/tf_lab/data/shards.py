@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from safetensors.torch import load, save
 from webdataset import TarWriter
 
@@ -197,7 +198,9 @@ def _write_shard(path: Path, sampler: ChunkSampler, seed: int, indices: range) -
     ):
         for index in indices:
             record = sampler.record(seed, 0, index)
-            record.decoded(range(len(record.images)))  # damage is told now, not in training
+            width, height = record.size  # a damaged image is told now, not in training
+            count = len(record.images)
+            record.decode(range(count), np.empty((count, 3, height, width), np.uint8))
             tar.write({"__key__": f"{index:08d}", **encode(record)})
 
 
