@@ -36,7 +36,7 @@ def fisheye(k1=0, k2=0, k3=0, k4=0) -> Lens:  # type: ignore[no-untyped-def]
 def unbent(lens: Lens, bent: np.ndarray) -> np.ndarray:
     """The slopes that a lens bends to those given [..., 2]: Newton's method."""
     slopes, step = bent.copy(), 1e-6
-    for _ in range(30):
+    for _ in range(12):
         error = lens(slopes) - bent
         columns = [(lens(slopes + d) - lens(slopes - d)) / (2 * step) for d in np.eye(2) * step]
         correction = np.linalg.solve(np.stack(columns, axis=-1), error[..., None])[..., 0]
