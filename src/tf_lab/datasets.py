@@ -49,12 +49,18 @@ def training_chunks(config: Config) -> ChunkSource:
     Raises:
         TFLabError: the shards cannot be opened, or the scenes cannot be prepared.
     """
+    urls = config["data"]["urls"]
+    if not urls:
+        return training_sampler(config)
     near, far = config["model"]["near"], config["model"]["far"]
-    urls = config["data"].get("urls")
-    if urls:
-        shuffle = config["data"].get("shuffle", True)
-        return ShardSource(urls, chunk_settings(config), near, far, shuffle)
+    shuffle = config["data"].get("shuffle", True)
+    return ShardSource(urls, chunk_settings(config), near, far, shuffle)
+
+
+def training_sampler(config: Config) -> ChunkSampler:
+    """Draws chunks of the training scenes, which are prepared first if they are missing."""
     scenes = prepare_data(config, ("train",))["train"]
+    near, far = config["model"]["near"], config["model"]["far"]
     return ChunkSampler(scenes, chunk_settings(config), near, far)
 
 
@@ -65,7 +71,7 @@ def identified(config: Config) -> Config:
         TFLabError: the shards cannot be opened.
     """
     data = config["data"]
-    if not data.get("urls"):
+    if not data["urls"]:
         return config
     return {**config, "data": {**data, "identity": open_shards(data["urls"]).identity}}
 
