@@ -1,13 +1,10 @@
 """Streaming shards: every chunk once an epoch, whoever reads; damage is told or left out."""
 
 import functools
-import http.server
 import itertools
-import json
 import logging
 import shutil
 import tarfile
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -24,7 +21,6 @@ from small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, sampler
 from tf_lab.data.chunk_sampler import ChunkStream
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
 from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardSource, ShardStream
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
@@ -195,80 +191,6 @@ def test_more_processes_than_chunks(write: Write) -> None:
         next(iter(source(write()).stream(0, 0, 0, 17)))
 
 
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    def log_message(self, *_: object) -> None: ...
-
-
-@pytest.fixture(scope="module")
-def server(write: Write) -> Iterator[str]:
-    """The shards over HTTP."""
-    if not shutil.which("curl"):
-        pytest.skip("webdataset reads from servers with curl")
-    handler = functools.partial(Quiet, directory=str(write()))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
-        threading.Thread(target=running.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{running.server_port}"
-        running.shutdown()
-
-
-@pytest.mark.parametrize(
-    ("urls", "shards"),
-    [
-        ("{0}", 4),
-        ("{0}/shards.json", 4),
-        ("{0}/chunks-{{000000..000003}}.tar", 4),
-        ("{0}/chunks-*.tar", 4),
-        (["{0}/chunks-000002.tar", "{0}/chunks-00000[01].tar", "{0}/chunks-000002.tar"], 3),
-        ("file://{0}/chunks-000001.tar", 1),
-        ("pipe:cat {0}/chunks-{{000000,000003}}.tar", 2),
-        ("pipe:cat {0}/shards.json", 4),
-        ("{1}/", 4),
-        ("{1}/chunks-{{000000..000002}}.tar", 3),
-    ],
-)
-def test_urls(
-    write: Write, numbers: Numbers, server: str, urls: str | list[str], shards: int
-) -> None:
-    directory = write()
-    given = [u.format(directory, server) for u in ([urls] if isinstance(urls, str) else urls)]
-    found = open_shards(given if isinstance(urls, list) else given[0])
-    assert len(found.shards) == shards
-    per_epoch = found.records
-    seen = numbers(iter(source(given, chunks=1).stream(0, 0, 0, 1)), per_epoch)
-    assert len(set(seen)) == per_epoch
-    # the identity is of what is in them, wherever they lie
-    names = sorted({shard.url.rpartition("chunks-")[2] for shard in found.shards})
-    there = [str(directory / f"chunks-{name}") for name in names]
-    if [shard.url.rpartition("chunks-")[2] for shard in found.shards] == names:
-        assert found.identity == open_shards(there).identity
-    assert (found.identity == open_shards(str(directory)).identity) == (shards == 4)
-
-
-@pytest.mark.parametrize(
-    ("urls", "message"),
-    [
-        ("{0}/gone", r"gone: not a shard"),
-        ("{0}/gone/", r"gone: not a shard"),
-        ("{0}/gone/chunks-*.tar", r"there is no such shard"),
-        ("{0}/gone/chunks-000000.tar", r"gone/shards\.json: .* cannot be read .*not finished"),
-        ("{0}/chunks-000004.tar", r"chunks-000004\.tar: not in shards\.json"),
-        ("{0}/chunks-{{000000..000004.tar", r"the braces cannot be read"),
-        ("{0}/plan.json", r"plan\.json: not a shard"),
-        ("???", r"data\.urls=\?\?\?: there is no such shard"),
-        ([], r"data\.urls is empty"),
-        ("pipe:exit 3 # chunks-000000.tar", r"shards\.json: .* cannot be read"),
-        ("pipe:true # chunks-000000.tar", r"shards\.json: .* cannot be read"),
-        ("nowhere:chunks-000000.tar", r"nowhere:shards\.json: .* cannot be read"),
-        ("{1}/gone/chunks-000000.tar", r"gone/shards\.json: .* cannot be read"),
-    ],
-)
-def test_wrong_urls(write: Write, server: str, urls: str | list[str], message: str) -> None:
-    if isinstance(urls, str):
-        urls = urls.format(write(), server)
-    with pytest.raises(TFLabError, match=message):
-        open_shards(urls)
-
-
 @pytest.fixture
 def copied(write: Write, tmp_path: Path) -> Path:
     """Shards to damage."""
@@ -340,36 +262,6 @@ def test_a_broken_shard_is_told_by_its_name(copied: Path) -> None:
     shard.unlink()
     with pytest.raises(TFLabError, match=r"chunks-000002\.tar .*: the shard cannot be read"):
         read_all(f"pipe:cat {copied}/chunks-{{000000..000003}}.tar 2>/dev/null")
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda index: index.update(format=99),
-        lambda index: index.pop("shards"),
-        lambda index: index.pop("settings"),
-        lambda index: index["shards"][0].update(name="../../etc/passwd"),
-        lambda index: index["shards"][0].update(records=0),
-        lambda index: index["shards"][0].update(records="many"),
-        lambda index: index["settings"].update(images="many"),
-        lambda index: index.update(shards=3),
-    ],
-)
-def test_a_damaged_index(copied: Path, damage: Callable[[dict[str, object]], object]) -> None:
-    path = copied / "shards.json"
-    index = json.loads(path.read_text())
-    damage(index)
-    path.write_text(json.dumps(index))
-    with pytest.raises(TFLabError, match=r"shards\.json: (damaged|shards of format 99)"):
-        open_shards(str(copied))
-    path.write_text("[]")
-    with pytest.raises(TFLabError, match=r"shards\.json: damaged"):
-        open_shards(str(copied))
-
-
-def test_sets_drawn_in_different_ways(write: Write) -> None:
-    with pytest.raises(TFLabError, match="drawn with"):
-        open_shards([str(write()), str(write(images=5))])
 
 
 def test_damage_never_ends_in_another_error(copied: Path) -> None:
