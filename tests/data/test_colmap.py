@@ -189,11 +189,13 @@ def test_images_made_smaller_later(text: Write) -> None:
 
 def test_images_that_cannot_be_used_are_skipped(text: Write) -> None:
     lines = [f"1 {POSE} 1 0.png\n", f"2 {POSE} 1 gone.png\n", f"3 {POSE} 7 1.png\n",
-             "4 0 0 0 0 0 0 0 1 1.png\n", "5 nan 0 0 1 0 0 0 1 1.png\n"]  # fmt: skip
+             "4 0 0 0 0 0 0 0 1 1.png\n", "5 nan 0 0 1 0 0 0 1 1.png\n",
+             "6 1 0 0 0 0 1e308 0 1 1.png\n"]  # fmt: skip
     capture = colmap.read(text(images="\n".join(lines), count=2))
     assert capture.frames == ["0"]
-    assert len(capture.skipped) == 4
-    for reason in ("gone.png: no such image", "1.png: its camera 7", "quaternion of zeros", "NaN"):
+    assert len(capture.skipped) == 5
+    for reason in ("gone.png: no such image", "1.png: its camera 7", "quaternion of zeros", "NaN",
+                   "impossibly far"):  # fmt: skip
         assert reason in "\n".join(capture.skipped)
 
 
