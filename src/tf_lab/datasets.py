@@ -31,10 +31,12 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
         TFLabError: the data set is unknown or cannot be prepared.
     """
     d = config["data"]
-    if d["name"] in ("scannet", "captures"):
+    if d["name"] in ("scannet", "captures") and "scenes" in d:
         return _prepare_captures(config, splits)
     if d["name"] != "rooms":
-        raise TFLabError(f"data.name={d['name']}: known are rooms, scannet and captures")
+        raise TFLabError(
+            f"data.name={d['name']}: choose the data by data=rooms, data=scannet or data=captures"
+        )
     size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
     frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
     wanted = {
@@ -49,7 +51,7 @@ def training_chunks(config: Config) -> ChunkSource:
     Raises:
         TFLabError: the shards cannot be opened, or the scenes cannot be prepared.
     """
-    urls = config["data"]["urls"]
+    urls = config["data"].get("urls")
     if not urls:
         return training_sampler(config)
     near, far = config["model"]["near"], config["model"]["far"]
@@ -71,7 +73,7 @@ def identified(config: Config) -> Config:
         TFLabError: the shards cannot be opened.
     """
     data = config["data"]
-    if not data["urls"]:
+    if not data.get("urls"):
         return config
     return {**config, "data": {**data, "identity": open_shards(data["urls"]).identity}}
 

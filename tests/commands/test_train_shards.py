@@ -43,7 +43,7 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "error: data.urls=???: there is no such shard"),
+        ((), "error: data.urls is missing"),
         (("data.urls=gone",), "gone: not a shard"),
         (("data.urls={0}", "training.points=100"), "written with training.points=200, not 100"),
     ],

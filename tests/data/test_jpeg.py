@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tf_lab.data.jpeg import decode_jpegs, jpeg_size
+from tf_lab.data.jpeg import decode_jpeg, jpeg_size
 
 SIZE = (37, 22)
 
@@ -21,7 +21,8 @@ def jpeg(size: tuple[int, int] = SIZE, seed: int = 0, **options: object) -> byte
 
 def decoded(*files: bytes) -> np.ndarray:
     images = np.zeros((len(files), 3, SIZE[1], SIZE[0]), np.uint8)
-    decode_jpegs(files, images)
+    for data, image in zip(files, images, strict=True):
+        decode_jpeg(data, image)
     return images
 
 

@@ -25,7 +25,7 @@ TEST_TIME = (
     *("data.test_size", "data.test_frames"),
 )
 NEITHER = (
-    *("data.root", "data.workers", "data.val_size", "data.urls", "logger.kind", "output"),
+    *("data.root", "data.workers", "data.val_size", "logger.kind", "output"),
     *("trainer.workers", "trainer.accelerator", "trainer.compile"),
     *("trainer.devices", "trainer.strategy", "training.validate_every", "training.save_every"),
 )

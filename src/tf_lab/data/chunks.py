@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
-from tf_lab.data.jpeg import decode_jpegs
+from tf_lab.data.jpeg import decode_jpeg
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
 
@@ -80,13 +80,14 @@ class ChunkRecord:
         Raises:
             TFLabError: one is damaged.
         """
-        try:
-            decode_jpegs([self.images[i] for i in chosen], images)
-        except ValueError as error:
-            raise TFLabError(
-                f"{self.scene}: an image of {', '.join(self.frames)} is damaged ({error}); delete "
-                "the scene and prepare it again"
-            ) from error
+        for i, image in zip(chosen, images, strict=True):
+            try:
+                decode_jpeg(self.images[i], image)
+            except ValueError as error:
+                raise TFLabError(
+                    f"{self.scene}/color/{self.frames[i]}.jpg: damaged ({error}); delete the scene "
+                    "and prepare it again"
+                ) from error
 
 
 @dataclass

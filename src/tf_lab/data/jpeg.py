@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
@@ -27,19 +25,19 @@ def jpeg_size(data: bytes) -> tuple[int, int]:
     raise ValueError("not a JPEG file")
 
 
-def decode_jpegs(files: Sequence[bytes], images: np.ndarray) -> None:
-    """Decode JPEG files, all of one size, into ``images``, uint8 [V, 3, H, W] RGB.
+def decode_jpeg(data: bytes, image: np.ndarray) -> None:
+    """Decode a JPEG file into ``image``, uint8 [3, H, W] RGB.
 
     Raises:
-        ValueError: one is damaged, cut off or of another size; told before much is allocated.
+        ValueError: it is damaged, cut off or of another size; told before much is allocated.
     """
-    height, width = images.shape[2:]
-    for data, (red, green, blue) in zip(files, images, strict=True):
-        found = jpeg_size(data)
-        if found != (width, height):
-            raise ValueError(f"it is {found[0]}x{found[1]}, not {width}x{height}")
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data.endswith(_END) else None
-        if bgr is None or bgr.shape != (height, width, 3):
-            raise ValueError("not a whole JPEG file")
-        cv2.split(bgr, [blue, green, red])
+    height, width = image.shape[1:]
+    found = jpeg_size(data)
+    if found != (width, height):
+        raise ValueError(f"it is {found[0]}x{found[1]}, not {width}x{height}")
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data.endswith(_END) else None
+    if bgr is None or bgr.shape != (height, width, 3):
+        raise ValueError("not a whole JPEG file")
+    red, green, blue = image
+    cv2.split(bgr, [blue, green, red])
