@@ -10,7 +10,7 @@ from tf_lab.data.chunks import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoder import load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
-from tf_lab.online.reconstructor import ReconstructionSettings
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.scoring import TestSettings
 from tf_lab.training import OptimizerSettings
 

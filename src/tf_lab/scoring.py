@@ -14,8 +14,9 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
-from tf_lab.online.reconstructor import ReconstructionSettings, Reconstructor, frustum_grid
+from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.selection import make_policy
+from tf_lab.online.settings import ReconstructionSettings
 
 log = logging.getLogger(__name__)
 
@@ -66,12 +67,10 @@ def reconstruct(
         TFLabError: no frame can be read.
     """
     keyframes = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
-    K, poses = capture.K[keyframes], capture.world_T_cam[keyframes]
-    grid = frustum_grid(K, poses, capture.size, network.config.far)
     # averaging has no preference among views: its "attention" is a random choice, seeded
     select = settings.select if network.config.fusion != "avg" else "random"
     policy = make_policy(select, settings.seed)
-    online = Reconstructor(network, grid, settings.reconstruction, policy)
+    online = Reconstructor(network, settings.reconstruction, policy)
     used, skipped = [], []
     for done, i in enumerate(keyframes, start=1):
         try:

@@ -14,7 +14,7 @@ from tf_lab.data.readers import open_capture
 from tf_lab.data.scene import write_scene
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.network.network import Network
-from tf_lab.online.reconstructor import ReconstructionSettings
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.scoring import TestSettings, reconstruct
 
 every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))

@@ -56,12 +56,14 @@ def test_attention_equals_a_list_of_measurements(
     heads: int, views: int, voxels: int, frames: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    store = ViewStore(lattice(voxels), views, heads, AttentionSelection())
+    store = ViewStore(views, heads, AttentionSelection(), logits=torch.float32)
+    store.grow(voxels)
+    keys = lattice(voxels)
     held: list[list[tuple[int, np.ndarray]]] = [[] for _ in range(voxels)]
     for frame in range(frames):
         rows = np.flatnonzero(rng.random(voxels) < 0.7)
         logits = rng.normal(size=(len(rows), heads))
-        store.add(frame, torch.from_numpy(rows), torch.from_numpy(logits))
+        store.add(frame, torch.from_numpy(rows), keys[rows], torch.from_numpy(logits))
         for row, logit in zip(rows.tolist(), logits, strict=True):
             measurements = held[row]
             if len(measurements) == views:

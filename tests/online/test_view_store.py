@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from tf_lab.online.blocks import Blocks
 from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
 from tf_lab.online.view_store import ViewStore
 
@@ -20,10 +21,13 @@ def logits_of(frame: int, voxels: Tensor) -> Tensor:
 
 def fill(policy: SelectionPolicy, views: int, sights: list[list[int]]) -> ViewStore:
     keys = torch.stack([torch.arange(VOXELS)] * 3, 1)
-    store = ViewStore(keys, views, HEADS if policy.needs_weights else 0, policy)
+    store = ViewStore(views, HEADS if policy.needs_weights else 0, policy, logits=torch.float32)
+    store.grow(VOXELS)
     for frame, voxels in enumerate(sights):
         index = torch.tensor(sorted(voxels), dtype=torch.int64)
-        store.add(frame, index, logits_of(frame, index) if policy.needs_weights else None)
+        store.add(
+            frame, index, keys[index], logits_of(frame, index) if policy.needs_weights else None
+        )
     return store
 
 
@@ -70,7 +74,54 @@ def test_a_frame_that_sees_nothing() -> None:
 
 
 def test_memory_per_voxel() -> None:
-    """DESIGN: some 160 bytes at K = 16 and few heads, not K x D features."""
-    store = ViewStore(torch.zeros(10, 3, dtype=torch.int64), 16, 2, AttentionSelection())
-    held = store.frames.nbytes + store.logits.nbytes + store.seen.nbytes
-    assert held / 10 <= 16 * (4 + 2 * 4) + 8
+    """The paper's 4 heads and K = 16, keys of the blocks included."""
+    store = ViewStore(16, 4, AttentionSelection())
+    blocks = Blocks(3, torch.device("cpu"))
+    blocks.allocate(torch.randint(-99, 99, (50, 3)))
+    store.grow(blocks.rows)
+    assert store.frames.shape == (blocks.rows, 16)
+    assert (store.nbytes + blocks.nbytes) / blocks.rows <= 200
+    assert store.nbytes == sum(c.nbytes for c in (store.frames, store.logits, store.seen)) + len(
+        store.dirty
+    )
+
+
+def test_growing_keeps_what_is_there() -> None:
+    grown = ViewStore(3, HEADS, AttentionSelection())
+    whole = ViewStore(3, HEADS, AttentionSelection())
+    whole.grow(40)
+    for frame in range(12):
+        grown.grow(4 + 3 * frame)
+        rows = torch.arange(frame, 4 + 3 * frame, 2)
+        for store in (grown, whole):
+            store.add(frame, rows, rows[:, None].expand(-1, 3), logits_of(frame, rows))
+    rows = len(grown.frames)
+    for name in ("frames", "logits", "seen", "dirty"):
+        assert torch.equal(getattr(grown, name), getattr(whole, name)[:rows])
+    assert (whole.frames[rows:] == -1).all()
+
+
+def test_dirty_means_that_the_view_set_changed() -> None:
+    rows = torch.arange(200)
+    keys = rows[:, None].expand(-1, 3)
+    for policy in (AttentionSelection(), RandomSelection(1)):
+        store = ViewStore(2, HEADS if policy.needs_weights else 0, policy)
+        store.grow(len(rows))
+        assert not store.dirty.any()
+        for frame in range(9):
+            before = store.frames.clone()
+            store.dirty[:] = False
+            logits = logits_of(frame, rows) if policy.needs_weights else None
+            store.add(frame, rows, keys, logits)
+            assert torch.equal(store.dirty, (store.frames != before).any(1))
+        assert store.dirty.all() == policy.needs_weights
+
+
+def test_huge_logits_stay_finite() -> None:
+    store = ViewStore(2, 1, AttentionSelection())
+    store.grow(1)
+    for frame, value in enumerate((1e9, -1e9, 3.0)):
+        row = torch.tensor([0])
+        store.add(frame, row, row[:, None].expand(-1, 3), torch.tensor([[value]]))
+    assert store.frames.tolist() == [[0, 2]]
+    assert store.logits.isfinite().all()

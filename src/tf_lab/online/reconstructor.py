@@ -1,15 +1,24 @@
 """Posed frames in, mesh out: the online procedure of the paper (Sec. 3.4), fused lazily.
 
-Adding a frame encodes it and updates the view sets of the coarse voxels it sees, by its own logits
-alone. The transformers run when a mesh is asked for: coarse fusion, refinement and mask; then the
-fine level where the coarse mask says "near-surface", whose view sets are replayed from the kept
-feature maps, so that the result does not depend on when a voxel became near-surface.
+In a notebook:
+
+    from tf_lab.online import Reconstructor
+    scene = Reconstructor(network)
+    for image, K, world_T_cam in frames:
+        scene.add_frame(image, K, world_T_cam)
+    scene.mesh().show()
+
+Adding a frame encodes it and updates the view sets of the voxels it sees, by its own logits alone.
+The transformers run when a mesh is asked for, and only for voxels whose view set has changed.
+Where a coarse voxel turns out to be near a surface, its fine voxels' earlier views are taken from
+the kept feature maps, so that the result does not depend on when that was found out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,74 +26,26 @@ import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import COARSE, FINE, VoxelGrid, pixel_directions, transform
+from tf_lab.geometry import COARSE, FINE, is_valid_pose
 from tf_lab.network.network import Network
-from tf_lab.network.refinement import upsample
-from tf_lab.online.mesher import cells_per_voxel, color_vertices, crossing_voxels, extract
-from tf_lab.online.selection import RandomSelection, SelectionPolicy
+from tf_lab.online.frames import Frames
+from tf_lab.online.frustum import frustum_box, voxels_in
+from tf_lab.online.level import Box, Level
+from tf_lab.online.mesher import cells_per_voxel, color_vertices
+from tf_lab.online.pipeline import Pipeline
+from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.settings import DTYPES, ReconstructionSettings
+from tf_lab.online.surface import Surface, whole_chunks
 from tf_lab.online.view_store import ViewStore
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
-LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
-
-
-@dataclass(frozen=True)
-class ReconstructionSettings:
-    """Test-time settings.
-
-    Attributes:
-        views: K, measurements kept a voxel (16 in the paper).
-        threshold: of both near-surface masks (0.5 in the paper).
-        resolution: edge of the marching-cubes cells, metres (0.02 in the paper).
-        batch: voxels fused at a time, which bounds the memory.
-    """
-
-    views: int = 16
-    threshold: float = 0.5
-    resolution: float = 0.02
-    batch: int = 8192
-
-    def __post_init__(self) -> None:
-        if self.views < 1:
-            raise TFLabError(f"views={self.views}: a voxel needs at least one view")
-        cells_per_voxel(FINE, self.resolution)  # told now, not after the training
-
-
-@dataclass
-class Volumes:
-    """Refined features of a scene, ready to decode.
-
-    Attributes:
-        coarse, fine: [D, X, Y, Z] on ``coarse_grid`` and ``fine_grid`` (3 to 1, aligned).
-        active: bool, fine voxels in which surface is looked for.
-    """
-
-    coarse: Tensor
-    coarse_grid: VoxelGrid
-    fine: Tensor
-    fine_grid: VoxelGrid
-    active: Tensor
-
-
-def frustum_grid(
-    K: np.ndarray, world_T_cam: np.ndarray, size: tuple[int, int], far: float
-) -> VoxelGrid:
-    """The coarse grid that holds all frusta: K [N, 3, 3], poses [N, 4, 4], far in metres."""
-    corners = []
-    for k, pose in zip(K, world_T_cam, strict=True):
-        rays = pixel_directions(torch.from_numpy(k).float(), size)[[0, 0, -1, -1], [0, -1, 0, -1]]
-        pose = torch.from_numpy(pose).float()
-        corners += [transform(pose, rays * far), pose[None, :3, 3]]
-    points = torch.cat(corners)
-    return VoxelGrid.covering(points.amin(0).tolist(), points.amax(0).tolist(), COARSE)
 
 
 class Reconstructor:
-    """Online reconstruction of one scene.
+    """Online reconstruction of one scene of any extent.
 
     Args:
         network: on its device, in evaluation mode.
-        grid: coarse voxels of the scene, see `frustum_grid`.
         settings: test-time settings.
         policy: view selection; a network without preferences (``fusion=avg``) gets random views.
     """
@@ -92,94 +53,167 @@ class Reconstructor:
     def __init__(
         self,
         network: Network,
-        grid: VoxelGrid,
-        settings: ReconstructionSettings,
-        policy: SelectionPolicy,
+        settings: ReconstructionSettings | None = None,
+        policy: SelectionPolicy | None = None,
     ) -> None:
-        self.network, self.grid, self.settings = network, grid, settings
+        self.network = network
+        self.settings = settings = settings or ReconstructionSettings()
         self.device = next(network.parameters()).device
+        policy = policy or AttentionSelection()
         if policy.needs_weights and self._heads("coarse") == 0:
             policy = RandomSelection()
         self.policy = policy
-        self.images: list[Tensor] = []
-        self.maps: list[dict[str, Tensor]] = []
-        self.K: list[Tensor] = []
-        self.poses: list[Tensor] = []
-        self.points = grid.centers().reshape(-1, 3).to(self.device)
-        self.coarse_store = self._store("coarse", self.points)
+        maps_device = None if settings.maps_device is None else torch.device(settings.maps_device)
+        self.frames = Frames(network, DTYPES[settings.maps], maps_device, settings.maps_budget)
+        self.coarse = self._level("coarse", COARSE)
+        self.fine = self._level("fine", FINE)
+        n = cells_per_voxel(FINE, settings.resolution)
+        self.pipeline = Pipeline(
+            network,
+            self.coarse,
+            self.fine,
+            settings.threshold,
+            n,
+            settings.batch,
+            self._replay,
+        )
+        self.surface = Surface(self.fine, n)
 
     @torch.inference_mode()
     def add_frame(self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray) -> None:
         """Add a frame: uint8 [H, W, 3] RGB, its intrinsics [3, 3] and its pose [4, 4].
 
         Raises:
-            TFLabError: the image's size differs from that of the frames before.
+            TFLabError: the frame cannot be used; nothing has changed then.
         """
-        tensor = torch.from_numpy(np.array(image)).permute(2, 0, 1).contiguous()
-        if self.images and tensor.shape != self.images[0].shape:
-            raise TFLabError(f"a frame of {tensor.shape[2]}x{tensor.shape[1]} among others")
-        maps = self.network.encode(tensor[None].to(self.device))
-        self.images.append(tensor)
-        self.maps.append({level: m[0] for level, m in maps.items()})
-        self.K.append(torch.from_numpy(np.array(K)).float().to(self.device))
-        self.poses.append(torch.from_numpy(np.array(world_T_cam)).float().to(self.device))
-        self._select("coarse", self.coarse_store, self.points, len(self.images) - 1)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the frames, pixels."""
-        return self.images[0].shape[2], self.images[0].shape[1]
+        tensor, k, pose = self._checked(image, K, world_T_cam)
+        with self._precision():
+            number = self.frames.add(tensor, k, pose)
+            self._see(number)
 
     @torch.inference_mode()
-    def mesh(self) -> trimesh.Trimesh:
-        """The surface, with vertex colours; no faces if there is none."""
-        volumes = self.volumes()
-        if volumes is None:
-            return trimesh.Trimesh()
+    def mesh(
+        self, region: tuple[Sequence[float], Sequence[float]] | None = None, color: bool = True
+    ) -> trimesh.Trimesh:
+        """The surface; no faces if there is none.
 
-        def decode(points: Tensor) -> Tensor:
-            v = volumes
-            return self.network.decode(
-                v.coarse, v.coarse_grid, v.fine, v.fine_grid, points.to(self.device)
+        Args:
+            region: lower and upper corner (metres); only the 1.5 m chunks that this box touches
+                are brought up to date and returned. None: everything.
+            color: whether the vertices get the images' colours.
+        """
+        box = None if region is None else (np.array(region[0], float), np.array(region[1], float))
+        self.update(box)
+        mesh = self.surface.assemble(box)
+        if color and len(mesh.faces):
+            last = len(self.frames) - 1
+            some = np.unique(np.linspace(0, last, COLOR_FRAMES).round().astype(int))
+            images = [self.frames.images[i] for i in some]
+            cameras = self.frames.cameras
+            color_vertices(
+                mesh, images, cameras["K"].cpu()[some], cameras["world_T_cam"].cpu()[some]
             )
-
-        active = volumes.active.cpu()
-        if not self.network.config.filter:
-            active = crossing_voxels(decode, volumes.fine_grid, active)
-        mesh = extract(decode, volumes.fine_grid, active, self.settings.resolution)
-        if len(mesh.faces):
-            some = np.unique(np.linspace(0, len(self.images) - 1, COLOR_FRAMES).round().astype(int))
-            images = [self.images[i] for i in some]
-            K, poses = torch.stack(self.K).cpu(), torch.stack(self.poses).cpu()
-            color_vertices(mesh, images, K[some], poses[some])
         return mesh
 
     @torch.inference_mode()
-    def volumes(self) -> Volumes | None:
-        """Fuse, refine and filter both levels; None if nothing is near a surface."""
-        seen = (self.coarse_store.seen > 0).view(self.grid.shape)
-        psi = self._fuse("coarse", self.coarse_store, self.points, self.grid, seen)
-        coarse, logits = self.network.refinement.coarse(psi[None], seen[None])
-        near = seen
-        if self.network.config.filter:
-            near = seen & (torch.sigmoid(logits[0]) > self.settings.threshold)
-        if not near.any():
-            return None
-        grid, box = _crop(self.grid, near)
-        fine_grid = grid.refined(3)
-        active = upsample(near[box], first_axis=0)
-        points = fine_grid.centers().to(self.device)[active]
-        store = self._store("fine", points)
-        for frame in range(len(self.images)):
-            self._select("fine", store, points, frame)
-        visible = store.seen > 0
-        active[active.clone()] = visible
-        psi = self._fuse("fine", store, points, fine_grid, active, visible)
-        inner = coarse[(slice(None), slice(None), *box)]
-        fine, logits = self.network.refinement.fine(inner, psi[None], active[None])
-        if self.network.config.filter:
-            active = active & (torch.sigmoid(logits[0]) > self.settings.threshold)
-        return Volumes(coarse[0], self.grid, fine[0], fine_grid, active)
+    def update(self, box: Box | None = None) -> int:
+        """Bring occupancy and mesh in a box (metres) up to date; how many chunks were meshed."""
+        with self._precision():
+            self.surface.touch(self.pipeline.update(whole_chunks(box)))
+        return self.surface.update(box)
+
+    @torch.inference_mode()
+    def view_weights(
+        self, points: np.ndarray, level: str = "fine"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which frames speak for points, and how much.
+
+        Args:
+            points: [P, 3], metres.
+            level: "fine" (known near surfaces, as of the last mesh) or "coarse".
+
+        Returns:
+            Frame numbers int [P, K], -1 in empty slots, and weights [P, K], 0 in empty ones; they
+            sum to 1 where any frame is held.
+        """
+        store = self.fine if level == "fine" else self.coarse
+        where = torch.as_tensor(np.asarray(points), dtype=torch.float32, device=self.device)
+        rows = store.blocks.row_of((where / store.voxel).floor().long())
+        frames = torch.full((len(rows), self.settings.views), -1, device=self.device)
+        weights = torch.zeros(len(rows), self.settings.views, device=self.device)
+        known = rows >= 0
+        with self._precision():
+            weights[known] = store.fuse(rows[known], self.settings.batch)[1]
+        frames[known] = store.store.frames[rows[known]].long()
+        return frames.cpu().numpy(), weights.cpu().numpy()
+
+    def save(self, path: Path) -> None:
+        """Write frames and view sets to a file, whole or not at all (see `state`)."""
+        from tf_lab.online.state import save_reconstruction
+
+        save_reconstruction(self, path)
+
+    @classmethod
+    def load(cls, path: Path, network: Network) -> Reconstructor:
+        """Go on with what `save` wrote, with the same network."""
+        from tf_lab.online.state import load_reconstruction
+
+        return load_reconstruction(path, network)
+
+    @property
+    def memory(self) -> dict[str, int]:
+        """Bytes in use, by what for."""
+        levels = (self.coarse, self.fine)
+        return {
+            "view sets": sum(x.store.nbytes + x.blocks.nbytes for x in levels),
+            "features": sum(x.features.nbytes() + x.flags.nbytes() for x in levels),
+            "feature maps": self.frames.nbytes,
+            "images": sum(image.nbytes for image in self.frames.images),
+        }
+
+    def _see(self, frame: int) -> None:
+        """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
+        config = self.network.config
+        K, pose = self.frames.poses[frame]
+        lower, upper = frustum_box(K, pose, self.frames.size, config.near, config.far)
+        voxels = voxels_in(lower, upper, COARSE, self.device)
+        known = self.fine.blocks.find(voxels)
+        self._see_coarse(frame, voxels)
+        self._see_fine(frame, self.fine.blocks.rows_in(known[known >= 0]))
+
+    def _see_coarse(self, frame: int, voxels: Tensor) -> None:
+        """Offer a frame to those of coarse voxels [P, 3] that it sees."""
+        voxels = voxels[self.frames.visible((voxels.float() + 0.5) * COARSE, frame)]
+        self.coarse.allocate(self.coarse.blocks.block_of(voxels))
+        self._offer(self.coarse, frame, self.coarse.blocks.row_of(voxels))
+
+    def _see_fine(self, frame: int, rows: Tensor) -> None:
+        """Offer a frame to those of fine voxels (rows) that it sees."""
+        self._offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
+
+    def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
+        level.offer(frame, rows)
+
+    def _replay(self, blocks: Tensor) -> None:
+        """Offer all frames so far to new fine blocks at coordinates [N, 3]."""
+        rows = self.fine.blocks.rows_in(self.fine.blocks.find(blocks))
+        for frame in range(len(self.frames)):
+            self._see_fine(frame, rows)
+
+    def _checked(
+        self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        pixels = torch.from_numpy(np.array(image))
+        k, pose = (torch.from_numpy(np.array(x)).float() for x in (K, world_T_cam))
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != torch.uint8:
+            raise TFLabError(f"an image of shape {tuple(pixels.shape)} and {pixels.dtype}")
+        if len(self.frames) and (pixels.shape[1], pixels.shape[0]) != self.frames.size:
+            raise TFLabError(f"a frame of {pixels.shape[1]}x{pixels.shape[0]} among others")
+        if pose.shape != (4, 4) or not is_valid_pose(pose):
+            raise TFLabError("a pose that is no rigid transform: the camera is lost")
+        if k.shape != (3, 3) or not (k.isfinite().all() and k[0, 0] > 0 and k[1, 1] > 0):
+            raise TFLabError("intrinsics without a positive, finite focal length")
+        return pixels.permute(2, 0, 1).contiguous(), k, pose
 
     def _heads(self, level: str) -> int:
         """Heads of the selection logits; 0 if the strategy has no preference."""
@@ -187,68 +221,12 @@ class Reconstructor:
         logits = self.network.fusion[level].selection_logits(probe)  # type: ignore[operator]
         return 0 if logits is None else logits.shape[-1]
 
-    def _store(self, level: str, points: Tensor) -> ViewStore:
-        keys = (points / LATTICE).round().long()
-        heads = self._heads(level) if self.policy.needs_weights else 0
-        return ViewStore(keys, self.settings.views, heads, self.policy)
+    def _level(self, name: str, voxel: float) -> Level:
+        heads = self._heads(name) if self.policy.needs_weights else 0
+        dtype = DTYPES[self.settings.logits]
+        store = ViewStore(self.settings.views, heads, self.policy, self.device, dtype)
+        return Level(name, voxel, self.frames, store, is_open=name == "coarse")
 
-    def _select(self, level: str, store: ViewStore, points: Tensor, frame: int) -> None:
-        """Offer a frame to all voxels that it sees."""
-        K, pose = self.K[frame][None], self.poses[frame][None]
-        voxels = self.network.visible(points, K, pose, self.size)[0].nonzero().squeeze(1)
-        logits = None
-        if self.policy.needs_weights:
-            maps = self.maps[frame][level][None]
-            tokens, _ = self.network.embed(level, maps, points[voxels], K, pose, self.size)
-            logits = self.network.fusion[level].selection_logits(tokens[0])  # type: ignore[operator]
-        store.add(frame, voxels, logits)
-
-    def _fuse(
-        self,
-        level: str,
-        store: ViewStore,
-        points: Tensor,
-        grid: VoxelGrid,
-        where: Tensor,
-        rows: Tensor | None = None,
-    ) -> Tensor:
-        """Fused features [D, X, Y, Z] at the voxels ``where``, zero elsewhere.
-
-        ``rows`` [P] bool tells which of the store's voxels those are (None: as in ``where``).
-        """
-        volume = points.new_zeros(*grid.shape, self.network.config.width)
-        index = (where.flatten() if rows is None else rows).nonzero().squeeze(1)
-        fused = [self._fuse_batch(level, store, points, part) for part in self._batches(index)]
-        volume[where] = torch.cat(fused)
-        return volume.permute(3, 0, 1, 2)
-
-    def _batches(self, index: Tensor) -> Iterator[Tensor]:
-        yield from index.split(self.settings.batch)
-
-    def _fuse_batch(self, level: str, store: ViewStore, points: Tensor, index: Tensor) -> Tensor:
-        """Fused features [M, D] of the store's voxels ``index`` [M]."""
-        frames = store.frames[index]
-        tokens = points.new_zeros(*frames.shape, self.network.config.width)
-        for frame in frames.unique().tolist():
-            if frame < 0:
-                continue
-            row, slot = (frames == frame).nonzero(as_tuple=True)
-            embedded, _ = self.network.embed(
-                level,
-                self.maps[frame][level][None],
-                points[index[row]],
-                self.K[frame][None],
-                self.poses[frame][None],
-                self.size,
-            )
-            tokens[row, slot] = embedded[0]
-        fused, _ = self.network.fuse(level, tokens, frames >= 0)
-        return fused
-
-
-def _crop(grid: VoxelGrid, near: Tensor) -> tuple[VoxelGrid, tuple[slice, slice, slice]]:
-    """The smallest part of a grid that holds all ``near`` voxels, and its slices."""
-    index = near.nonzero()
-    low, high = index.amin(0).tolist(), (index.amax(0) + 1).tolist()
-    x, y, z = (slice(a, b) for a, b in zip(low, high, strict=True))
-    return grid.block(low, high), (x, y, z)
+    def _precision(self) -> AbstractContextManager[None]:
+        dtype = DTYPES[self.settings.precision]
+        return torch.autocast(self.device.type, dtype, enabled=dtype != torch.float32)

@@ -52,8 +52,12 @@ class Block(nn.Module):
     def logits(self, token: Tensor, views: Tensor) -> Tensor:
         """Attention logits of one query token [D] over views [..., K, D]: [..., K, H]."""
         query = self.query(self.attention_norm(token)).unflatten(-1, (self.heads, -1))
-        key = self.key(self.attention_norm(views)).unflatten(-1, (self.heads, -1))
-        return torch.einsum("hd,...khd->...kh", query, key) * query.shape[-1] ** -0.5
+        query = query * query.shape[-1] ** -0.5
+        # q . (W x + b) = (W^T q) . x + q . b: one column a head instead of all keys
+        weight, bias = (p.unflatten(0, (self.heads, -1)) for p in (self.key.weight, self.key.bias))
+        columns = torch.einsum("hd,hdc->hc", query, weight)
+        constant = torch.einsum("hd,hd->h", query, bias)
+        return F.linear(self.attention_norm(views), columns, constant)
 
 
 class TransformerFusion(nn.Module):

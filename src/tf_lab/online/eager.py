@@ -1,0 +1,48 @@
+"""The paper's literal procedure (Sec. 3.4), kept as the reference for tests and the benchmark.
+
+Every voxel in the frustum is fused by the whole transformer at every frame, fine ones where the
+coarse mask says "near-surface", and selection reads the weights of that fusion. One thing the paper
+leaves open is done as in lazy fusion: a coarse voxel that turns out to be near a surface late gets
+its fine voxels' earlier views, too.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from tf_lab.network.fusion import weights_from_logits
+from tf_lab.online.level import Level
+from tf_lab.online.reconstructor import Reconstructor
+
+
+class EagerReconstructor(Reconstructor):
+    """Fuses at every frame what `Reconstructor` fuses when it is asked for a mesh."""
+
+    def _see_coarse(self, frame: int, voxels: Tensor) -> None:
+        super()._see_coarse(frame, voxels)
+        self.pipeline.update_coarse(None)
+
+    def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
+        is_open = level.flags["open"][torch.div(rows, level.blocks.volume, rounding_mode="floor")]
+        level.offer(frame, rows[~is_open])  # nobody asks for what is no longer near a surface
+        rows = rows[is_open]
+        for part in rows.split(self.settings.batch):
+            self._fuse_with(level, frame, part)
+        if len(rows):
+            self.pipeline.changed(level, rows)
+
+    def _fuse_with(self, level: Level, frame: int, rows: Tensor) -> None:
+        """Add a frame's measurement to voxels (rows [M]), and fuse all that they hold."""
+        store = level.store
+        weights = torch.zeros(1, store.views, device=self.device).expand(len(rows), -1)
+        if store.policy.needs_weights:  # of the fusion at the frame before
+            weights = weights_from_logits(store.logits[rows], None)
+        slot = store.policy.slots(weights, store.seen[rows].long(), level.keys(rows))
+        store.put(frame, rows, slot, None)
+        tokens, filled = level.tokens(rows, store.views)
+        psi, _ = self.network.fuse(level.name, tokens, filled)
+        if store.heads:
+            store.logits[rows] = store.rounded(level.fusion.selection_logits(tokens))  # type: ignore[operator]
+        level.features["psi"][rows] = psi.float()
+        store.dirty[rows] = False

@@ -1,0 +1,176 @@
+"""The frames a reconstruction has seen: images, cameras, and their feature maps, kept once.
+
+Maps lie in one channels-last pool, so that any mixture of (point, frame) pairs is sampled by one
+gather. Within a budget the least recently needed maps give way and are encoded again from their
+image when they are needed again: the same numbers, for some time.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from tf_lab.geometry import in_view, invert_pose, project, view_rays
+from tf_lab.network.network import LEVELS, Network
+from tf_lab.online.table import Table
+
+PAIRS = 1 << 19  # (point, frame) pairs measured at a time
+
+
+class Frames:
+    """Frames by number.
+
+    Attributes:
+        images: uint8 [3, H, W], on the host.
+        poses: (K [3, 3], world_T_cam [4, 4]) of each, on the host.
+
+    Args:
+        network: in evaluation mode.
+        dtype: of the maps kept.
+        device: where the maps are kept; sampling happens there, and the samples move.
+        budget: bytes for maps; None: all are kept.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        dtype: torch.dtype,
+        device: torch.device | None = None,
+        budget: int | None = None,
+    ) -> None:
+        self.network, self.dtype, self.budget = network, dtype, budget
+        self.device = next(network.parameters()).device
+        self.maps_device = device or self.device
+        self.images: list[Tensor] = []
+        self.poses: list[tuple[np.ndarray, np.ndarray]] = []
+        self.cameras = Table(self.device)
+        self.cameras.add_column("K", (3, 3), torch.float32, 0)
+        self.cameras.add_column("world_T_cam", (4, 4), torch.float32, 0)
+        self.cameras.add_column("cam_T_world", (4, 4), torch.float32, 0)
+        self._pools: dict[str, Table] = {}
+        self._shape: dict[str, tuple[int, int]] = {}  # (h, w) of the maps
+        self._slot = torch.empty(0, dtype=torch.int64, device=self.maps_device)  # by frame, or -1
+        self._resident: OrderedDict[int, int] = OrderedDict()  # frame -> slot, oldest use first
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the frames, pixels."""
+        return self.images[0].shape[2], self.images[0].shape[1]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the maps."""
+        return sum(pool.nbytes() for pool in self._pools.values())
+
+    def add(self, image: Tensor, K: Tensor, world_T_cam: Tensor, encode: bool = True) -> int:
+        """Keep a frame: uint8 [3, H, W], [3, 3] and [4, 4]; its number.
+
+        ``encode=False`` leaves its maps until they are needed.
+        """
+        number = len(self.images)
+        self.images.append(image)
+        self.poses.append((K.cpu().numpy(), world_T_cam.cpu().numpy()))
+        self.cameras.grow(number + 1)
+        self.cameras["K"][number] = K.to(self.device)
+        self.cameras["world_T_cam"][number] = world_T_cam.to(self.device)
+        self.cameras["cam_T_world"][number] = invert_pose(world_T_cam).to(self.device)
+        self._slot = F.pad(self._slot, (0, 1), value=-1)
+        if encode:
+            self._load(number)
+        return number
+
+    def visible(self, points: Tensor, frame: int) -> Tensor:
+        """Whether a frame sees points [P, 3], occlusion apart: bool [P]."""
+        K, pose = self.cameras["K"][frame], self.cameras["world_T_cam"][frame]
+        return self.network.visible(points, K[None], pose[None], self.size)[0]
+
+    def tokens(self, level: str, points: Tensor, frames: Tensor) -> Tensor:
+        """What frames [P] say about points [P, 3], one each: tokens [P, D]."""
+        parts = zip(points.split(PAIRS), frames.long().split(PAIRS), strict=True)
+        found = [self._tokens(level, p, f) for p, f in parts]
+        return torch.cat(found) if len(found) != 1 else found[0]
+
+    def _tokens(self, level: str, points: Tensor, frames: Tensor) -> Tensor:
+        c, network = self.cameras, self.network
+        one = points[:, None]
+        uv, depth = project(one, c["K"][frames], c["cam_T_world"][frames])
+        valid = in_view(uv, depth, self.size, network.config.near, network.config.far)
+        ray = view_rays(one, c["world_T_cam"][frames])
+        phi = self._sample(level, frames.to(self.maps_device), uv[:, 0].to(self.maps_device))
+        parts = (phi.to(self.device).float(), depth[:, 0], valid[:, 0], ray[:, 0])
+        return network.tokens[level](*parts)
+
+    def _sample(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
+        """Bilinear samples [P, C] of the frames' maps at pixels [P, 2], as `sample_maps`."""
+        if len(self._resident) == len(self):
+            return self._gather(level, frames, uv)
+        pool = self._pools[level]["maps"]
+        out = pool.new_empty(len(uv), pool.shape[-1])
+        for group in self._groups(frames.unique().tolist()):
+            where = torch.isin(frames, torch.tensor(group, device=frames.device))
+            out[where] = self._gather(level, frames[where], uv[where])
+        return out
+
+    def _gather(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
+        h, w = self._shape[level]
+        scale = uv.new_tensor([w, h]) / uv.new_tensor(self.size)
+        xy = (uv + 0.5) * scale - 0.5
+        x, y = xy[:, 0].clamp(0, w - 1), xy[:, 1].clamp(0, h - 1)  # the border's value beyond it
+        x0, y0 = x.floor(), y.floor()
+        fx, fy = x - x0, y - y0
+        weights = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], 1)
+        left, top = x0.long(), y0.long()
+        right, bottom = (left + 1).clamp(max=w - 1), (top + 1).clamp(max=h - 1)
+        start = self._slot[frames] * (h * w)
+        upper, lower = start + top * w, start + bottom * w
+        index = torch.stack([upper + left, upper + right, lower + left, lower + right], 1)
+        pool = self._pools[level]["maps"].flatten(0, 1)
+        return F.embedding_bag(index, pool, mode="sum", per_sample_weights=weights.to(pool.dtype))
+
+    def _groups(self, wanted: list[int]) -> Iterator[list[int]]:
+        """The frames in groups whose maps are all there while a group is worked on."""
+        wanted.sort(key=lambda frame: frame not in self._resident)  # those at hand first
+        most = self._capacity()
+        for i in range(0, len(wanted), most):
+            group = wanted[i : i + most]
+            for frame in group:
+                if frame in self._resident:
+                    self._resident.move_to_end(frame)
+            for frame in group:
+                if frame not in self._resident:
+                    self._load(frame)
+            yield group
+
+    def _capacity(self) -> int:
+        """How many frames' maps may be there at once."""
+        if self.budget is None or not self._pools:
+            return max(len(self), 1)
+        return max(1, self.budget // sum(pool.row_nbytes for pool in self._pools.values()))
+
+    def _load(self, frame: int) -> None:
+        """Encode a frame into a free slot, or into that of the maps unused for longest."""
+        found = self.network.encode(self.images[frame][None].to(self.device))
+        if not self._pools:
+            for level in LEVELS:
+                c, h, w = found[level].shape[1:]
+                self._shape[level] = (h, w)
+                self._pools[level] = Table(self.maps_device)
+                self._pools[level].add_column("maps", (h * w, c), self.dtype, 0)
+        slot = len(self._resident)
+        most = self._capacity()
+        if slot >= most:
+            old, slot = self._resident.popitem(last=False)
+            self._slot[old] = -1
+        for level, pool in self._pools.items():
+            pool.grow(max(slot + 1, pool.rows), None if self.budget is None else most)
+            pool["maps"][slot] = found[level][0].flatten(1).T.to(self.maps_device, self.dtype)
+        self._slot[frame] = slot
+        self._resident[frame] = slot

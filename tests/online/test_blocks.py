@@ -1,0 +1,125 @@
+"""The index of blocks against a dictionary, and what lies beside what against coordinates."""
+
+import itertools
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from tf_lab.online.blocks import Blocks, dilate, pack, unpack
+from tf_lab.online.frustum import frustum_box, voxels_in
+from tf_lab.online.table import Table
+
+CPU = torch.device("cpu")
+point = st.tuples(*[st.integers(-1000, 1000)] * 3)
+batches = st.lists(st.lists(point, max_size=6), max_size=6)
+
+
+def tensor(points: list[tuple[int, int, int]]) -> Tensor:
+    return torch.tensor(points, dtype=torch.int64).reshape(-1, 3)
+
+
+@given(st.lists(st.tuples(*[st.integers(-(1 << 20), (1 << 20) - 1)] * 3), min_size=1))
+def test_keys_hold_coordinates_and_sort_like_them(points: list[tuple[int, int, int]]) -> None:
+    keys = pack(tensor(points))
+    assert torch.equal(unpack(keys), tensor(points))
+    assert torch.equal(unpack(keys.sort().values), tensor(sorted(points)))
+
+
+@given(batches)
+def test_blocks_are_found_and_keep_their_numbers(
+    batches: list[list[tuple[int, int, int]]],
+) -> None:
+    blocks = Blocks(3, CPU)
+    numbers: dict[tuple[int, int, int], int] = {}
+    for batch in batches:
+        added = blocks.allocate(tensor(batch))
+        assert added == len(set(batch) - set(numbers))
+        for p in set(batch):
+            number = int(blocks.find(tensor([p]))[0])
+            assert numbers.setdefault(p, number) == number
+        assert sorted(numbers.values()) == list(range(len(blocks)))
+        for p, number in numbers.items():
+            assert blocks.coords[number].tolist() == list(p)
+    unknown = tensor([(1001, 0, 0), (0, -1001, 5)])
+    assert blocks.find(unknown).tolist() == [-1, -1]
+
+
+@given(st.lists(point, min_size=1, max_size=8), st.sampled_from([2, 3, 5]))
+def test_rows_and_voxels_are_inverse(points: list[tuple[int, int, int]], edge: int) -> None:
+    blocks = Blocks(edge, CPU)
+    blocks.allocate(tensor(points))
+    rows = blocks.rows_in(torch.arange(len(blocks)))
+    assert torch.equal(rows, torch.arange(blocks.rows))
+    voxels = blocks.voxels(rows)
+    assert torch.equal(blocks.row_of(voxels), rows)
+    assert len(torch.unique(voxels, dim=0)) == blocks.rows
+    assert torch.equal(blocks.block_of(voxels), blocks.coords.repeat_interleave(edge**3, 0))
+
+
+def test_neighbours() -> None:
+    generator = torch.Generator().manual_seed(0)
+    blocks = Blocks(3, CPU)
+    blocks.allocate(torch.randint(-2, 2, (30, 3), generator=generator))
+    found = blocks.neighbours(torch.arange(len(blocks)))
+    assert found.shape == (len(blocks), 27, 27)
+    steps = torch.tensor(list(itertools.product((-1, 0, 1), repeat=3)))
+    voxels = blocks.voxels(torch.arange(blocks.rows))
+    expected = blocks.row_of(voxels[:, None] + steps)
+    assert torch.equal(found.flatten(0, 1), expected)
+    assert (expected < 0).any()
+
+
+@given(st.lists(point, min_size=1, max_size=5), st.integers(0, 2))
+def test_dilation(points: list[tuple[int, int, int]], radius: int) -> None:
+    steps = list(itertools.product(range(-radius, radius + 1), repeat=3))
+    expected = {tuple(a + b for a, b in zip(p, s, strict=True)) for p in points for s in steps}
+    found = dilate(tensor(points), radius).tolist()
+    assert {tuple(p) for p in found} == expected
+    if radius:
+        assert len(found) == len(expected)
+
+
+def test_an_empty_index() -> None:
+    blocks = Blocks(3, CPU)
+    assert blocks.find(tensor([(0, 0, 0)])).tolist() == [-1]
+    assert blocks.row_of(tensor([(0, 0, 0)])).tolist() == [-1]
+    assert blocks.allocate(tensor([])) == 0
+    assert len(blocks.rows_in(torch.arange(0))) == 0
+
+
+def test_a_table_grows_and_fills() -> None:
+    table = Table(CPU)
+    table.add_column("a", (2,), torch.float32, 7)
+    table.add_column("b", (), torch.bool, 1)
+    for rows in (1, 2, 5, 6, 40):
+        before = table["a"].clone()
+        table.grow(rows)
+        assert torch.equal(table["a"][: len(before)], before)
+        assert (table["a"][len(before) :] == 7).all()
+        assert table["b"].all()
+        table["a"][:] = torch.rand(rows, 2)
+    assert table.nbytes() == 40 * 9
+    assert table.nbytes("b") == 40
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_box_of_a_frustum_holds_all_that_the_camera_sees(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = rotation * torch.linalg.det(rotation)
+    pose[:3, 3] = torch.randn(3, generator=generator)
+    K = torch.tensor([[40.0, 0, 31], [0, 42.0, 20], [0, 0, 1]], dtype=torch.float64)
+    low, high = frustum_box(K.numpy(), pose.numpy(), (64, 48), 0.3, 2.0)
+    ends = torch.tensor([-0.5, -0.5, 0.3]), torch.tensor([63.5, 47.5, 2.0])
+    u, v, z = (ends[0] + (ends[1] - ends[0]) * torch.rand(500, 3, generator=generator)).T.double()
+    camera = torch.stack([u * z, v * z, z], 1) @ torch.linalg.inv(K).T
+    world = camera @ pose[:3, :3].T + pose[:3, 3]
+    assert (world.amin(0) >= torch.from_numpy(low)).all()
+    assert (world.amax(0) <= torch.from_numpy(high)).all()
+    assert (world.amin(0) < torch.from_numpy(low) + 0.8).all()  # and is not much larger
+    voxels = {tuple(v) for v in voxels_in(low, high, 0.1, CPU).tolist()}
+    assert {tuple(v) for v in (world / 0.1).floor().long().tolist()} <= voxels

@@ -1,0 +1,60 @@
+"""The paper's literal procedure and lazy fusion come to the same."""
+
+import pytest
+import torch
+
+from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from tf_lab.data.scene import Scene
+from tf_lab.online.eager import EagerReconstructor
+from tf_lab.online.reconstructor import Reconstructor
+from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+
+
+@pytest.mark.parametrize(
+    ("policy", "views", "logits"),
+    [
+        (AttentionSelection(), 3, "float32"),
+        (AttentionSelection(), 3, "float16"),
+        (AttentionSelection(), 16, "float32"),
+        (RandomSelection(4), 3, "float32"),
+    ],
+)
+def test_lazy_equals_eager(
+    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, views: int, logits: str
+) -> None:
+    network = balanced(tiny_network(), scene)
+    settings = settings_of(views=views, logits=logits)
+    lazy = add(Reconstructor(network, settings, policy), scene)
+    eager = add(EagerReconstructor(network, settings, policy), scene)
+    a, b = lazy.mesh(color=False), eager.mesh(color=False)
+
+    assert torch.equal(lazy.coarse.blocks.coords, eager.coarse.blocks.coords)
+    assert torch.equal(lazy.coarse.store.frames, eager.coarse.store.frames)
+    assert lazy.coarse.store.seen.max() == len(FRAMES)
+    every = lazy.fine.blocks.voxels(torch.arange(lazy.fine.blocks.rows))
+    rows = eager.fine.blocks.row_of(every)
+    assert (rows >= 0).all()  # what is near now was near at the last frame
+    assert torch.equal(eager.fine.store.frames[rows], lazy.fine.store.frames)
+
+    shown = lazy.fine.features["shown"]
+    assert torch.equal(eager.fine.features["shown"][rows], shown)
+    assert eager.fine.features["shown"].sum() == shown.sum()
+    values = [lazy.fine.features["values"], eager.fine.features["values"][rows]]
+    probability = [torch.sigmoid(v[shown]) for v in values]
+    assert len(probability[0]) > 300
+    assert (probability[0] - probability[1]).abs().max() < 1e-4
+    assert_same_surface(a, b)
+
+
+def test_eager_fuses_at_every_frame(tiny_network: Factory, scene: Scene) -> None:
+    """The transformer has nothing left to do when the mesh is asked for."""
+    network = balanced(tiny_network(), scene)
+    eager = add(EagerReconstructor(network, settings_of(views=3)), scene)
+    fused: list[int] = []
+    network.fusion["coarse"].register_forward_hook(lambda _m, _i, out: fused.append(len(out[0])))
+    eager.mesh(color=False)
+    assert sum(fused) == 0
+    lazy = add(Reconstructor(network, settings_of(views=3)), scene)
+    assert sum(fused) == 0
+    lazy.mesh(color=False)
+    assert sum(fused) == (lazy.coarse.store.seen > 0).sum()
