@@ -8,7 +8,7 @@ from online.scenes import FAR
 from tf_lab.data.scene import Scene
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def tiny_network(tiny_network: Callable[..., Any]) -> Callable[..., Any]:
     """Networks that see less far, so that the scenes are small."""
     return lambda **changes: tiny_network(**{"far": FAR, **changes})

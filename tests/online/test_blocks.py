@@ -2,14 +2,16 @@
 
 import itertools
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from tf_lab.geometry import in_view, invert_pose, project
 from tf_lab.online.blocks import Blocks, dilate, pack, unpack
-from tf_lab.online.frustum import frustum_box, voxels_in
+from tf_lab.online.frustum import frustum_box, frustum_planes, voxels_in
 from tf_lab.online.table import Table
 
 CPU = torch.device("cpu")
@@ -123,3 +125,10 @@ def test_the_box_of_a_frustum_holds_all_that_the_camera_sees(seed: int) -> None:
     assert (world.amin(0) < torch.from_numpy(low) + 0.8).all()  # and is not much larger
     voxels = {tuple(v) for v in voxels_in(low, high, 0.1, CPU).tolist()}
     assert {tuple(v) for v in (world / 0.1).floor().long().tolist()} <= voxels
+    normals, distances = frustum_planes(K.numpy(), pose.numpy(), (64, 48), 0.3, 2.0)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    points = pose[:3, 3] + 4 * (torch.rand(3000, 3, generator=generator).double() - 0.5)
+    uv, z = project(points, K, invert_pose(pose))
+    inside = (points.numpy() @ normals.T + distances >= 0).all(1)
+    np.testing.assert_array_equal(inside, in_view(uv, z, (64, 48), 0.3, 2.0))
+    assert 0 < inside.sum() < len(inside)

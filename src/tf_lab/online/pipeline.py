@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from tf_lab.geometry import COARSE, FINE
 from tf_lab.network.network import Network
@@ -113,7 +113,7 @@ class Pipeline:
         numbers = coarse.pending("near", box)
         if not len(numbers):
             return
-        rows, near = self._near(coarse, numbers, self.network.refinement.coarse_mask)
+        rows, near = self.near_rows(coarse, numbers, self.network.refinement.coarse_mask)
         toggled = near != coarse.features["near"][rows]
         rows, near = rows[toggled], near[toggled]
         coarse.features["near"][rows] = near
@@ -154,7 +154,7 @@ class Pipeline:
         """Fine near-surface mask."""
         numbers = self.fine.pending("near", box)
         if len(numbers):
-            rows, near = self._near(self.fine, numbers, self.network.refinement.fine_mask)
+            rows, near = self.near_rows(self.fine, numbers, self.network.refinement.fine_mask)
             self.fine.features["near"][rows] = near
 
     def update_values(self, box: Box | None) -> Tensor:
@@ -172,10 +172,10 @@ class Pipeline:
         fine.features["shown"][rows] = shown
         rows = rows[shown]
         if len(rows):
-            fine.features["values"][rows] = self._decoded(self.decode, numbers, rows)
+            fine.features["values"][rows] = self.decoded(self.decode, numbers, rows)
         return numbers
 
-    def _decoded(self, decode: Decoder, numbers: Tensor, rows: Tensor) -> Tensor:
+    def decoded(self, decode: Decoder, numbers: Tensor, rows: Tensor) -> Tensor:
         """Samples [V, n^3] of fine voxels ``rows`` [V] in blocks ``numbers``."""
         coarse, fine = self.coarse, self.fine
         domain = self._region(fine, numbers, 1)
@@ -204,11 +204,11 @@ class Pipeline:
         near = fine.around(fine.blocks.coords[numbers], 1)
         domain = self._region(fine, near, 0)
         solid = torch.full((fine.blocks.rows + 1,), torch.nan, device=fine.device)
-        solid[domain.rows] = (self._decoded(self.centre, near, domain.rows)[:, 0] > 0).float()
+        solid[domain.rows] = (self.decoded(self.centre, near, domain.rows)[:, 0] > 0).float()
         around = solid[fine.blocks.neighbours(numbers).flatten(0, 1)]
         return (around == 1).any(1) & (around == 0).any(1)
 
-    def _near(self, level: Level, numbers: Tensor, head: torch.nn.Module) -> tuple[Tensor, Tensor]:
+    def near_rows(self, level: Level, numbers: Tensor, head: nn.Module) -> tuple[Tensor, Tensor]:
         """Active rows of blocks, and which of them are near a surface."""
         wanted = level.blocks.rows_in(numbers)
         wanted = wanted[level.active[wanted]]

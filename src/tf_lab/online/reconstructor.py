@@ -29,7 +29,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, is_valid_pose
 from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
-from tf_lab.online.frustum import frustum_box, voxels_in
+from tf_lab.online.frustum import frustum_box, frustum_planes, voxels_in
 from tf_lab.online.level import Box, Level
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.pipeline import Pipeline
@@ -173,13 +173,11 @@ class Reconstructor:
 
     def _see(self, frame: int) -> None:
         """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
-        config = self.network.config
-        K, pose = self.frames.poses[frame]
-        lower, upper = frustum_box(K, pose, self.frames.size, config.near, config.far)
-        voxels = voxels_in(lower, upper, COARSE, self.device)
+        voxels = voxels_in(*frustum_box(*self._frustum(frame)), COARSE, self.device)
+        voxels = voxels[self._touched(voxels, frame)]
         known = self.fine.blocks.find(voxels)
         self._see_coarse(frame, voxels)
-        self._see_fine(frame, self.fine.blocks.rows_in(known[known >= 0]))
+        self._see_fine(frame, known[known >= 0])
 
     def _see_coarse(self, frame: int, voxels: Tensor) -> None:
         """Offer a frame to those of coarse voxels [P, 3] that it sees."""
@@ -187,18 +185,35 @@ class Reconstructor:
         self.coarse.allocate(self.coarse.blocks.block_of(voxels))
         self._offer(self.coarse, frame, self.coarse.blocks.row_of(voxels))
 
-    def _see_fine(self, frame: int, rows: Tensor) -> None:
-        """Offer a frame to those of fine voxels (rows) that it sees."""
+    def _see_fine(self, frame: int, blocks: Tensor) -> None:
+        """Offer a frame to those of the voxels of fine blocks [N] that it sees."""
+        self._offer_seen(frame, self.fine.blocks.rows_in(blocks))
+
+    def _offer_seen(self, frame: int, rows: Tensor) -> None:
         self._offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
 
     def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
         level.offer(frame, rows)
 
-    def _replay(self, blocks: Tensor) -> None:
+    def _replay(self, coords: Tensor) -> None:
         """Offer all frames so far to new fine blocks at coordinates [N, 3]."""
-        rows = self.fine.blocks.rows_in(self.fine.blocks.find(blocks))
+        blocks = self.fine.blocks.find(coords)
         for frame in range(len(self.frames)):
-            self._see_fine(frame, rows)
+            touched = blocks[self._touched(coords, frame)]
+            self._offer_seen(frame, self.fine.blocks.rows_in(touched))
+
+    def _touched(self, voxels: Tensor, frame: int) -> Tensor:
+        """Coarse voxels [P, 3] that a frustum may touch: bool [P], true for all that it does."""
+        normals, offsets = (
+            torch.from_numpy(x).float().to(self.device)
+            for x in frustum_planes(*self._frustum(frame))
+        )
+        inside = ((voxels.float() + 0.5) * COARSE) @ normals.T + offsets
+        return (inside > -COARSE).all(1)  # a voxel's corner is 0.87 edges from its centre
+
+    def _frustum(self, frame: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int], float, float]:
+        near, far = self.network.config.near, self.network.config.far
+        return (*self.frames.poses[frame], self.frames.size, near, far)
 
     def _checked(
         self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray

@@ -1,0 +1,87 @@
+"""The paper's runtime tables on this machine, eager beside lazy, and what memory it takes.
+
+python -m tf_lab.benchmark [model=paper|small|tiny] [device=auto|cpu|cuda] [width=640 height=480]
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from tf_lab.benchmarks.measure import BenchmarkSettings
+from tf_lab.benchmarks.report import draw, tables
+from tf_lab.benchmarks.suite import run_all
+from tf_lab.commands import command, plain, provenance
+from tf_lab.configuration import make_network
+from tf_lab.errors import TFLabError
+from tf_lab.files import atomic_path, write_json
+from tf_lab.online.settings import ReconstructionSettings
+
+
+@command("benchmark")
+def main(cfg: DictConfig) -> None:
+    """Measure everything, print it, write table, JSON and chart."""
+    config = plain(cfg)
+    device = _device(config["device"])
+    torch.manual_seed(config["seed"])
+    networks = {
+        used: make_network({**config, "filter": used}).to(device).eval().requires_grad_(False)
+        for used in (True, False)
+    }
+    results = run_all(networks, _settings(config, device), config["views"], config["eager"])
+    results["config"] = config
+    results["provenance"] = provenance()
+    if device.type == "cuda":
+        results["provenance"]["machine"]["gpu"] = torch.cuda.get_device_name(device)
+    results["provenance"]["machine"]["threads"] = torch.get_num_threads()
+    output = Path(config["output"])
+    text = tables(results)
+    print(text)
+    write_json(output / "benchmark.json", results)
+    with atomic_path(output / "benchmark.txt") as temporary:
+        temporary.write_text(text + "\n")
+    with atomic_path(output / "benchmark.png") as temporary:
+        draw(results, temporary)
+    print(f"{output}: benchmark.txt, benchmark.json, benchmark.png")
+
+
+def _settings(config: dict[str, Any], device: torch.device) -> BenchmarkSettings:
+    for name in ("width", "height", "frames", "timed", "eager_timed"):
+        if config[name] < 1:
+            raise TFLabError(f"{name}={config[name]}: must be at least 1")
+    for name in ("views", "rooms", "counts"):
+        if not config[name] or min(config[name]) < 1:
+            raise TFLabError(f"{name}={config[name]}: give a list of numbers of at least 1")
+    precision = config["precision"]
+    if precision == "auto":
+        precision = "bfloat16" if device.type == "cuda" else "float32"
+    return BenchmarkSettings(
+        size=(config["width"], config["height"]),
+        frames=config["frames"],
+        timed=config["timed"],
+        eager_timed=config["eager_timed"],
+        rooms=tuple(config["rooms"]),
+        counts=tuple(config["counts"]),
+        reconstruction=ReconstructionSettings(
+            views=max(config["views"]),
+            resolution=config["resolution"],
+            batch=config["batch"],
+            precision=precision,
+            maps=precision,
+        ),
+    )
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
+    return torch.device(name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Measurements of speed and memory beside the paper's; see `tf_lab.benchmark`."""

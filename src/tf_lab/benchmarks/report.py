@@ -1,0 +1,147 @@
+"""What was measured as text and as a chart, the paper's figures beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tf_lab.benchmarks import paper
+from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES
+
+MIB = 2**20
+Rows = Sequence[Sequence[str]]
+
+
+def tables(found: Mapping[str, Any]) -> str:
+    """All measurements as text."""
+    parts = [
+        _table("Adding a frame (ms)", *_frame(found)),
+        _table("Frames per second", *_fps(found)),
+        _table("Meshing a 1.5 m chunk (ms)", *_chunk(found)),
+        _table("Against scene size", *_size(found)),
+        _table("Against frames already there", *_count(found)),
+        _table("Floor of adding a frame", *_floor(found)),
+        _table("Ratios", ["", "ratio"], [[k, f"{v:.2f}"] for k, v in found["ratios"].items()]),
+        f"peak memory: {found['peak memory'] / MIB:.0f} MiB",
+        "paper: Bozic et al. 2021, supplement, on an RTX 3090",
+    ]
+    return "\n\n".join(parts)
+
+
+def _modes(found: Mapping[str, Any]) -> list[str]:
+    return [mode for mode in ("lazy", "eager") if mode in found["floor"]]
+
+
+def _frame(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    modes, k = _modes(found), found["views"]
+    rows = [
+        [
+            stage,
+            *(f"{found['frame'][f'{m} {k}'].get(stage, 0):.2f}" for m in modes),
+            f"{paper.FRAME_MS[stage]:.2f}",
+        ]
+        for stage in (*STAGES, "total")
+    ]
+    return [f"K = {k}", *modes, "paper"], rows
+
+
+def _fps(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    modes, rows = _modes(found), []
+    names = [key.removeprefix("lazy ") for key in found["frame"] if key.startswith("lazy ")]
+    for name in names:
+        figure = paper.FPS.get(int(name)) if name.isdecimal() else None
+        cells = [f"{found['frame'][f'{m} {name}']['fps']:.2f}" for m in modes]
+        rows.append([f"K = {name}", *cells, "-" if figure is None else f"{figure:.2f}"])
+    return ["", *modes, "paper"], rows
+
+
+def _chunk(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    chunk = found["chunk"]
+    rows = [[s, f"{chunk[s]:.2f}", f"{paper.CHUNK_MS[s]:.2f}"] for s in (*CHUNK_STAGES, "total")]
+    rows.append(["fuse 1000 voxels", f"{chunk['fuse 1000 voxels']:.2f}", "-"])
+    return ["", "here", "paper"], rows
+
+
+def _size(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    head = ["rooms", "ms a frame", "voxels", "in the box", "sets MiB", "bytes a voxel", "all MiB"]
+    rows = [
+        [
+            f"{x['rooms']}",
+            f"{x['ms a frame']:.2f}",
+            f"{x['voxels seen']}",
+            f"{x['voxels in the bounding box']}",
+            f"{x['memory']['view sets'] / MIB:.1f}",
+            f"{x['bytes a voxel']:.0f}",
+            f"{sum(x['memory'].values()) / MIB:.0f}",
+        ]
+        for x in found["size"]
+    ]
+    return head, rows
+
+
+def _count(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    rows = [[f"{x['frames']}", f"{x['ms a frame']:.2f}"] for x in found["count"]]
+    return ["frames", "ms a frame"], rows
+
+
+def _floor(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    rows = []
+    for mode, x in found["floor"].items():
+        total = found["frame"][f"{mode} {found['views']}"]["total"]
+        rows.append(
+            [
+                mode,
+                f"{x['flops'] / 1e9:.2f}",
+                f"{x['bytes'] / 1e9:.3f}",
+                f"{x['flop rate'] / 1e9:.0f}",
+                f"{x['byte rate'] / 1e9:.1f}",
+                f"{x['ms']:.2f}",
+                f"{total / x['ms']:.1f}",
+            ]
+        )
+    return ["", "GFLOP", "GB", "GFLOP/s here", "GB/s here", "floor ms", "measured / floor"], rows
+
+
+def _table(title: str, head: Sequence[str], rows: Rows) -> str:
+    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+
+    def line(cells: Sequence[str]) -> str:
+        first = cells[0].ljust(widths[0])
+        rest = (c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True))
+        return "  ".join([first, *rest]).rstrip()
+
+    return "\n".join([title, line(head), *(line(row) for row in rows)])
+
+
+def draw(found: Mapping[str, Any], path: Path) -> None:
+    """A chart: stages of a frame and of a chunk beside the paper's, and the cost against size."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    frame, chunk, size = figure.subplots(1, 3)
+    k = found["views"]
+    bars = {m: found["frame"][f"{m} {k}"] for m in _modes(found)}
+    _stack(frame, {**bars, "paper": paper.FRAME_MS}, STAGES, f"adding a frame, K = {k}")
+    both = {"here": found["chunk"], "paper": paper.CHUNK_MS}
+    _stack(chunk, both, CHUNK_STAGES, "meshing a 1.5 m chunk")
+    rooms = [x["rooms"] for x in found["size"]]
+    size.plot(rooms, [x["ms a frame"] for x in found["size"]], "o-", label="ms a frame")
+    size.plot(
+        rooms, [x["memory"]["view sets"] / MIB for x in found["size"]], "s-", label="view sets, MiB"
+    )
+    size.set(xlabel="rooms", xticks=rooms, ylim=(0, None), title="against scene size")
+    size.legend()
+    figure.savefig(path, dpi=110)
+
+
+def _stack(axes: Any, bars: Mapping[str, Any], stages: Sequence[str], title: str) -> None:
+    bottom = [0.0] * len(bars)
+    for stage in stages:
+        values = [bar.get(stage, 0.0) for bar in bars.values()]
+        axes.bar(list(bars), values, bottom=bottom, label=stage)
+        bottom = [b + v for b, v in zip(bottom, values, strict=True)]
+    axes.set(ylabel="ms", title=title)
+    axes.legend(fontsize=8)

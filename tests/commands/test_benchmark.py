@@ -1,0 +1,101 @@
+"""The benchmark as a user runs it, in a minute's size, and what it reports."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tiny_jobs import call
+
+from tf_lab.benchmarks import paper
+from tf_lab.benchmarks.rooms import CORNER, SIZE, Rooms, walk
+from tf_lab.benchmarks.stopwatch import Stopwatch
+
+SMALL = (
+    "model=tiny",
+    "width=64",
+    "height=48",
+    "frames=3",
+    "timed=2",
+    "eager_timed=1",
+    "views=[2,4]",
+    "rooms=[1,2]",
+    "counts=[4,8]",
+    "resolution=0.1",
+    "device=cpu",
+    "model.far=2.5",
+    "model.width=16",
+    "model.blocks=1",
+)
+
+
+def test_the_benchmark(tmp_path: Path) -> None:
+    done = call("benchmark", *SMALL, f"output={tmp_path}/b")
+    assert done.status == 0, done.err
+    for title in ("Adding a frame", "Meshing", "scene size", "Floor", "eager fusion over lazy"):
+        assert title in done.out
+    assert "130.52" in done.out
+    found = json.loads((tmp_path / "b" / "benchmark.json").read_text())
+    assert (tmp_path / "b" / "benchmark.png").stat().st_size > 10_000
+    assert found["provenance"]["machine"]["cpus"] >= 1
+    assert set(found["frame"]) == {
+        f"{mode} {k}" for mode in ("lazy", "eager") for k in ("2", "4", "4 without filter")
+    }
+    for stages in found["frame"].values():
+        assert stages["fps"] > 0
+        assert stages["fine fusion"] > 0
+    assert found["chunk"]["faces"] > 50
+    assert all(x["bytes a voxel"] < 256 for x in found["size"])
+    assert found["size"][1]["voxels seen"] > found["size"][0]["voxels seen"]
+    assert found["floor"]["eager"]["flops"] > 2 * found["floor"]["lazy"]["flops"]
+
+
+@pytest.mark.parametrize("wrong", ["views=[]", "frames=0", "precision=int8", "device=cuda"])
+def test_what_cannot_be_measured(wrong: str) -> None:
+    if wrong == "device=cuda" and torch.cuda.is_available():
+        pytest.skip("there is one")
+    done = call("benchmark", *SMALL, wrong)
+    assert done.status == 2
+    assert done.err.startswith("error: ")
+    assert len(done.err.splitlines()) == 1
+
+
+def test_the_papers_figures_add_up() -> None:
+    for table in (paper.FRAME_MS, paper.CHUNK_MS):
+        stages = sum(v for k, v in table.items() if k != "total")
+        assert stages == pytest.approx(table["total"], abs=0.02)
+    assert 1000 / paper.FRAME_MS["total"] == pytest.approx(paper.FPS[16], abs=0.01)
+
+
+def test_the_rooms_surface() -> None:
+    rooms, corner = Rooms(2), torch.tensor(CORNER).float()
+    points = torch.tensor([[2.5, 2.0, 1.3], [7.5, 2, 1.3], [2.5, 2, 0.1], [2.5, 2, -0.2]])
+    assert rooms.solid(points + corner).tolist() == pytest.approx([-1.3, -1.3, -0.1, 0.2], abs=1e-6)
+    outside = torch.tensor([[-3.0, -4.0, 1.0], [11.0, 2, 1.3]])
+    assert rooms.solid(outside + corner).tolist() == pytest.approx([5, 1])
+    for image, K, pose in walk(range(1, 2), 5, (64, 48)):
+        assert image.shape == (48, 64, 3)
+        assert K[0, 2] == 31.5
+        assert (pose[:3, 3] > [SIZE[0], 0, 0]).all()
+        assert (pose[:3, 3] < CORNER + SIZE * [2, 1, 1]).all()
+        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+
+
+class Work:
+    def outer(self) -> None:
+        self.inner()
+
+    def inner(self) -> None:
+        sum(range(200_000))
+
+
+def test_a_stage_does_not_pay_for_the_stages_inside_it() -> None:
+    work = Work()
+    watch = Stopwatch(torch.device("cpu"))
+    watch.watch(work, "inner", "inner")
+    watch.watch(work, "outer", "outer")
+    work.outer()
+    found = watch.take()
+    assert 0 <= found["outer"] < 0.5 * found["inner"]
+    assert watch.take() == {}
