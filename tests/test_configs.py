@@ -27,9 +27,13 @@ def composed(name: str = "train", *overrides: str) -> dict[str, Any]:
     return plain(cfg)
 
 
+# what the user has to say beside an option
+NEEDED = {"data=captures": "data.root=captures", "data=shards": "data.urls=shards"}
+
+
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_composes_and_is_accepted(option: str) -> None:
-    config = composed("train", option)
+    config = composed("train", option, *(NEEDED[o] for o in [option] if o in NEEDED))
     configuration.chunk_settings(config)
     configuration.optimizer_settings(config)
     configuration.test_settings(config)

@@ -98,8 +98,12 @@ def _in_sweep() -> bool:
 
 
 def plain(cfg: Any) -> Any:
-    """A resolved config as plain dicts and lists."""
-    return OmegaConf.to_container(cfg, resolve=True)
+    """A resolved config as plain dicts and lists.
+
+    Raises:
+        MissingMandatoryValue: the user has to give a value and did not.
+    """
+    return OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
 
 
 def provenance() -> dict[str, Any]:

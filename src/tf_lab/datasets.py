@@ -14,6 +14,8 @@ from tf_lab.data.chunks import ChunkSource
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
 from tf_lab.data.scannet_splits import find_scene, split_scenes
+from tf_lab.data.shard_set import open_shards
+from tf_lab.data.shard_stream import ShardSource
 from tf_lab.errors import TFLabError
 
 Config = Mapping[str, Any]
@@ -29,10 +31,12 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
         TFLabError: the data set is unknown or cannot be prepared.
     """
     d = config["data"]
-    if d["name"] in ("scannet", "captures"):
+    if d["name"] in ("scannet", "captures") and "scenes" in d:
         return _prepare_captures(config, splits)
     if d["name"] != "rooms":
-        raise TFLabError(f"data.name={d['name']}: known are rooms, scannet and captures")
+        raise TFLabError(
+            f"data.name={d['name']}: choose the data by data=rooms, data=scannet or data=captures"
+        )
     size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
     frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
     wanted = {
@@ -42,14 +46,36 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
 
 
 def training_chunks(config: Config) -> ChunkSource:
-    """Where a training's chunks come from.
+    """Where a training's chunks come from: the shards ``data.urls``, or the training scenes.
 
     Raises:
-        TFLabError: the data cannot be prepared.
+        TFLabError: the shards cannot be opened, or the scenes cannot be prepared.
     """
+    urls = config["data"].get("urls")
+    if not urls:
+        return training_sampler(config)
     near, far = config["model"]["near"], config["model"]["far"]
+    shuffle = config["data"].get("shuffle", True)
+    return ShardSource(urls, chunk_settings(config), near, far, shuffle)
+
+
+def training_sampler(config: Config) -> ChunkSampler:
+    """Draws chunks of the training scenes, which are prepared first if they are missing."""
     scenes = prepare_data(config, ("train",))["train"]
+    near, far = config["model"]["near"], config["model"]["far"]
     return ChunkSampler(scenes, chunk_settings(config), near, far)
+
+
+def identified(config: Config) -> Config:
+    """A config that says what is in the shards it trains on: a run's identity, unlike their place.
+
+    Raises:
+        TFLabError: the shards cannot be opened.
+    """
+    data = config["data"]
+    if not data.get("urls"):
+        return config
+    return {**config, "data": {**data, "identity": open_shards(data["urls"]).identity}}
 
 
 def _prepare_captures(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path]]:

@@ -7,14 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig
 
-from tf_lab.commands import command, plain
+from tf_lab.commands import command, plain, provenance
 from tf_lab.data.captures import prepare_captures, summarise
 from tf_lab.data.scene import Scene
-from tf_lab.datasets import capture_sources, prepare_data, scene_settings, scenes_root
+from tf_lab.data.shards import write_shards
+from tf_lab.datasets import (
+    capture_sources,
+    prepare_data,
+    scene_settings,
+    scenes_root,
+    training_sampler,
+)
 from tf_lab.errors import TFLabError
 from tf_lab.meshes import read_mesh
 from tf_lab.pictures import compare
@@ -27,8 +35,22 @@ def main(cfg: DictConfig) -> None:
     config = plain(cfg)
     if config["data"]["name"] == "rooms":
         for split, scenes in prepare_data(config, tuple(config["splits"])).items():
-            print(f"{split}: {len(scenes)} rooms in {scenes[0].parent}")
-        return
+            if scenes:
+                print(f"{split}: {len(scenes)} rooms in {scenes[0].parent}")
+        failed = 0
+    else:
+        failed = _prepare(config)
+    if config["shards"]:
+        _write_shards(config)
+    if failed:
+        raise TFLabError(
+            f"{failed} scenes failed, see above; the others are ready, and the same command tries "
+            "these again"
+        )
+
+
+def _prepare(config: dict[str, Any]) -> int:
+    """Captures to scenes; how many could not be prepared."""
     chosen = capture_sources(config, tuple(config["splits"]))
     sources = {name: path for split in chosen.values() for name, path in split.items()}
     settings = scene_settings(config)
@@ -38,11 +60,21 @@ def main(cfg: DictConfig) -> None:
     print(summarise(prepared, root / settings.key))
     if config["pictures"]:
         print(f"pictures: {_draw(prepared.scenes, root / settings.key / 'pictures')}")
-    if prepared.failed:
-        raise TFLabError(
-            f"{len(prepared.failed)} of {len(sources)} scenes failed, see above; the others are "
-            "ready, and the same command tries these again"
-        )
+    return len(prepared.failed)
+
+
+def _write_shards(config: dict[str, Any]) -> None:
+    index = write_shards(
+        Path(config["shards"]).expanduser(),
+        training_sampler(config),
+        config["shard_chunks"],
+        config["seed"],
+        config["shard_size"],
+        provenance(),
+        config["data"]["workers"],
+    )
+    print(f"{index.parent}: {config['shard_chunks']} chunks; train with data=shards "
+          f"data.urls={index.parent}")  # fmt: skip
 
 
 def _draw(scenes: Mapping[str, Path], folder: Path) -> Path:

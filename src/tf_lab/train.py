@@ -26,7 +26,7 @@ from tf_lab.checkpoint import load_network, save_network
 from tf_lab.commands import command, plain, provenance
 from tf_lab.configuration import make_network, optimizer_settings, test_settings
 from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.datasets import prepare_data, training_chunks
+from tf_lab.datasets import identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, remove_abandoned, write_json
@@ -42,7 +42,7 @@ Config = Mapping[str, Any]
 @command("train")
 def main(cfg: DictConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
-    config = plain(cfg)
+    config = identified(plain(cfg))
     start = time.time()
     checkpoint = train(config)
     if _is_helper():

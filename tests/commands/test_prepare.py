@@ -44,7 +44,7 @@ def test_the_summary_tells_what_was_skipped_and_what_failed(captures: Path, tmp_
     assert "skipped 1 frames: cannot be read as an image" in result.out
     assert "failed hall: " in result.out
     assert "camera-intrinsics.txt" in result.out
-    assert result.err.splitlines()[-1].startswith("error: 1 of 3 scenes failed")
+    assert result.err.splitlines()[-1].startswith("error: 1 scenes failed")
     (settings,) = (tmp_path / "scenes").iterdir()
     assert sorted(p.name for p in settings.iterdir()) == ["kitchen", "office", "prepare.json"]
 
@@ -91,6 +91,24 @@ def test_training_and_testing_on_captures(captures: Path, tmp_path: Path) -> Non
     assert result.status == 0, result.err
     assert "office" in result.out
     assert "scene hall is left out" in result.out + result.err
+
+
+def test_shards_are_written_and_trained_on(captures: Path, tmp_path: Path) -> None:
+    drawing = ("training.images=2", "training.views=[2]", "training.coverage=0.2", "model.far=2.5")
+    common = [*arguments(captures, tmp_path / "scenes"), "data.test=[office]", *drawing]
+    shards = tmp_path / "shards"
+    written = call("prepare", *common, f"shards={shards}", "shard_chunks=5", "shard_size=2")
+    assert f"{shards}: 5 chunks" in written.out
+    assert len(list(shards.glob("chunks-*.tar"))) == 3
+    result = call(
+        *("train", *common, f"data.urls={shards}", f"output={tmp_path / 'outputs'}"),
+        *("model.width=8", "model.hidden=16", "model.refine_blocks=1", "training.chunks=1"),
+        *("encoder.weights=none", "encoder.width=8", "encoder.blocks=[1,1,1]"),
+        *("encoder.coarse_channels=8", "encoder.fine_channels=8", "training.validate_every=0"),
+        *("optimizer.steps=2", "resolution=0.05", "trainer.accelerator=cpu", "trainer.workers=0"),
+    )
+    assert result.status == 0, result.err
+    assert "office" in result.out
 
 
 @pytest.mark.parametrize(

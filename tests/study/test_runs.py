@@ -12,6 +12,7 @@ from tf_lab.commands import conf_dir, plain
 from tf_lab.study.runs import (
     evaluation_identity,
     key_of,
+    portable,
     row_label,
     run_directory,
     training_directory,
@@ -104,6 +105,17 @@ def test_options_change_the_keys_as_their_settings_do() -> None:
     assert keys(composed("views=4", "select=rnd"))[0] == keys(DEFAULT)[0]
     for option in ("logger=wandb_offline", "trainer=ddp", "data.root=elsewhere"):
         assert keys(composed(option)) == keys(DEFAULT), option
+
+
+def test_shards_are_known_by_what_is_in_them() -> None:
+    here, there, others = (
+        composed("data=shards", f"data.urls={place}", f"data.identity={identity}")
+        for place, identity in (("a", "x1"), ("b", "x1"), ("a", "x2"))
+    )
+    assert keys(here) == keys(there)
+    assert keys(here)[0] != keys(others)[0]
+    assert keys(here)[0] != keys(composed("data=shards", "data.urls=a", "data.shuffle=false"))[0]
+    assert "urls" not in portable(here)["data"]
 
 
 def test_directories_lie_in_the_output_and_say_what_they_are() -> None:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
-from tf_lab.data.jpeg import decode_jpegs
+from tf_lab.data.jpeg import decode_jpeg
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
 
@@ -74,19 +74,20 @@ class ChunkRecord:
     points: Tensor
     sdf: Tensor
 
-    def decoded(self, chosen: Sequence[int]) -> Tensor:
-        """Some of the images, uint8 [V, 3, H, W].
+    def decode(self, chosen: Sequence[int], images: np.ndarray) -> None:
+        """Decode some of the images into an array, uint8 [V, 3, H, W].
 
         Raises:
             TFLabError: one is damaged.
         """
-        try:
-            return torch.from_numpy(decode_jpegs([self.images[i] for i in chosen], self.size))
-        except ValueError as error:
-            raise TFLabError(
-                f"{self.scene}: an image of {', '.join(self.frames)} is damaged ({error}); delete "
-                "the scene and prepare it again"
-            ) from error
+        for i, image in zip(chosen, images, strict=True):
+            try:
+                decode_jpeg(self.images[i], image)
+            except ValueError as error:
+                raise TFLabError(
+                    f"{self.scene}/color/{self.frames[i]}.jpg: damaged ({error}); delete the scene "
+                    "and prepare it again"
+                ) from error
 
 
 @dataclass
@@ -147,15 +148,22 @@ def make_batch(
     hold more than ``settings.images``.
 
     Raises:
-        TFLabError: an image is damaged.
+        TFLabError: an image is damaged, or they are of several sizes.
     """
+    sizes = sorted({r.size for r in records})
+    if len(sizes) > 1:
+        raise TFLabError(f"images of {sizes} pixels in one batch; prepare all scenes at one size")
     rng = np.random.default_rng([seed, rank, step, 1])  # without the 1: a record's, see `record`
     keep = int(rng.choice(settings.views)) if settings.views else 0
     ranked = bool(rng.random() < settings.ranked)
     chosen = [_choose(len(r.images), settings.images, rng) for r in records]
     views = list(zip(records, chosen, strict=True))
+    width, height = sizes[0]
+    images = np.empty((len(records), len(chosen[0]), 3, height, width), np.uint8)
+    for (record, view), row in zip(views, images, strict=True):
+        record.decode(view, row)
     return ChunkBatch(
-        images=torch.stack([r.decoded(v) for r, v in views]),
+        images=torch.from_numpy(images),
         K=torch.stack([r.K[v] for r, v in views]),
         world_T_cam=torch.stack([r.world_T_cam[v] for r, v in views]),
         coarse_target=torch.stack([r.coarse_target for r in records]),

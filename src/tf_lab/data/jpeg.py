@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
@@ -27,20 +25,19 @@ def jpeg_size(data: bytes) -> tuple[int, int]:
     raise ValueError("not a JPEG file")
 
 
-def decode_jpegs(files: Sequence[bytes], size: tuple[int, int]) -> np.ndarray:
-    """JPEG files, all of one (width, height), as uint8 [V, 3, H, W] RGB.
+def decode_jpeg(data: bytes, image: np.ndarray) -> None:
+    """Decode a JPEG file into ``image``, uint8 [3, H, W] RGB.
 
     Raises:
-        ValueError: one is damaged, cut off or of another size; told before much is allocated.
+        ValueError: it is damaged, cut off or of another size; told before much is allocated.
     """
-    images = np.empty((len(files), 3, size[1], size[0]), np.uint8)
-    for i, data in enumerate(files):
-        found = jpeg_size(data)
-        if found != size:
-            raise ValueError(f"it is {found[0]}x{found[1]}, not {size[0]}x{size[1]}")
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data.endswith(_END) else None
-        if bgr is None:
-            raise ValueError("not a whole JPEG file")
-        images[i] = bgr[:, :, ::-1].transpose(2, 0, 1)
-    return images
+    height, width = image.shape[1:]
+    found = jpeg_size(data)
+    if found != (width, height):
+        raise ValueError(f"it is {found[0]}x{found[1]}, not {width}x{height}")
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data.endswith(_END) else None
+    if bgr is None or bgr.shape != (height, width, 3):
+        raise ValueError("not a whole JPEG file")
+    red, green, blue = image
+    cv2.split(bgr, [blue, green, red])

@@ -147,32 +147,62 @@ def register_depth(
             cv2.remap(depth, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
         )
     straight = camera.pinhole(camera.size) if camera.distorted else camera
-    depth = register_depth(depth, camera, straight)
-    # at the depth's own density, so that the readings leave no holes
-    scale = min(1.0, depth.shape[1] / pinhole.size[0], depth.shape[0] / pinhole.size[1])
-    size = (max(1, round(pinhole.size[0] * scale)), max(1, round(pinhole.size[1] * scale)))
-    moved = _reproject(depth, straight, pinhole.resized(size), pinhole_T_camera)
-    # (INTER_NEAREST is half a pixel off)
-    return np.asarray(cv2.resize(moved, pinhole.size, interpolation=cv2.INTER_NEAREST_EXACT))
+    return _moved(register_depth(depth, camera, straight), straight, pinhole, pinhole_T_camera)
 
 
-def _reproject(
+def _moved(
     depth: np.ndarray, camera: Camera, target: Camera, target_T_camera: np.ndarray
 ) -> np.ndarray:
-    """Readings moved into another camera; where several meet, the nearest stays."""
-    row, column = np.nonzero(depth > 0)
-    z = depth[row, column].astype(np.float64)
-    x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
-    points = np.stack([x, y, z], 1) @ target_T_camera[:3, :3].T + target_T_camera[:3, 3]
-    points = points[points[:, 2] > 1e-6]
-    u = np.round(points[:, 0] / points[:, 2] * target.fx + target.cx)
-    v = np.round(points[:, 1] / points[:, 2] * target.fy + target.cy)
+    """A depth map as seen from elsewhere: each pixel takes the reading that lands on it."""
+    transform = target_T_camera.astype(np.float32)
+    rotation, translation = transform[:3, :3], transform[:3, 3]
+    known = (depth > 0) & np.isfinite(depth)
+    readings = _rays(camera) * np.where(known, depth, np.float32(0))[..., None]
+    points = readings @ rotation.T + translation
+    rays = _rays(target)
+    z = _front(points[known], camera, target)
+    for _ in range(2):  # where is what the pixel sees? a better depth tells better
+        column, row, seen = _pixels_of(((rays * z[..., None]) - translation) @ rotation, camera)
+        found = points[row, column]
+        z = np.where(seen & known[row, column] & (z > 0), found[..., 2], np.float32(0))
+    landing = np.abs(found[..., :2] - rays[..., :2] * z[..., None])  # metres beside the pixel
+    reading = [max(1 / camera.fx, 1 / target.fx), max(1 / camera.fy, 1 / target.fy)]
+    near = (landing <= np.multiply.outer(z, reading)).all(-1)
+    return np.where(near & (z > 0), z, 0).astype(np.float32)
+
+
+def _front(points: np.ndarray, camera: Camera, target: Camera) -> np.ndarray:
+    """About what depth [H, W] of the points [N, 3] the target sees, 0 none; without holes.
+
+    The nearest point in each square of some readings a side.
+    """
+    scale = min(1.0, 0.5 * camera.fx / target.fx, 0.5 * camera.fy / target.fy)
+    column, row, seen = _pixels_of(points, target, scale)
     width, height = target.size
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    moved = np.full((height, width), np.inf, np.float32)
-    pixel = (v[inside].astype(int), u[inside].astype(int))
-    np.minimum.at(moved, pixel, points[inside, 2].astype(np.float32))
-    return np.where(np.isfinite(moved), moved, 0).astype(np.float32)
+    front = np.full((int(height * scale) + 1, int(width * scale) + 1), np.inf, np.float32)
+    np.minimum.at(front, (row[seen], column[seen]), points[seen, 2])
+    rows, columns = (((np.arange(n) + 0.5) * scale).astype(int) for n in (height, width))
+    return np.where(np.isfinite(front), front, np.float32(0))[np.ix_(rows, columns)]
+
+
+def _rays(camera: Camera) -> np.ndarray:
+    """The points [H, W, 3] at depth 1 of all pixels."""
+    x = (np.arange(camera.size[0]) - camera.cx) / camera.fx
+    y = (np.arange(camera.size[1]) - camera.cy) / camera.fy
+    rays = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1)
+    return rays.astype(np.float32)
+
+
+def _pixels_of(
+    points: np.ndarray, camera: Camera, scale: float = 1.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Column and row of the pixels that points [..., 3] fall on, and whether they are in view."""
+    z = np.where(points[..., 2] > 1e-6, points[..., 2], np.inf)
+    u = (points[..., 0] / z * camera.fx + camera.cx + 0.5) * scale
+    v = (points[..., 1] / z * camera.fy + camera.cy + 0.5) * scale
+    width, height = camera.size[0] * scale, camera.size[1] * scale
+    seen = np.isfinite(z) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return np.where(seen, u, 0).astype(int), np.where(seen, v, 0).astype(int), seen
 
 
 @lru_cache(maxsize=8)
@@ -208,14 +238,15 @@ def _field_of_view(camera: Camera) -> np.ndarray:
         if np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0:
             bounds = np.sort([field, widest], axis=0)
             proposal = np.clip(_slopes(K, camera.size), *bounds)
-    for sides, farthest in ((slice(None), proposal), *((side, widest) for side in range(4))):
+    for stage, sides in enumerate(([0, 1, 2, 3], [0], [1], [2], [3])):
         lower, upper = field, field.copy()
-        upper[sides] = farthest[sides]
-        if _sees(camera, upper):
+        upper[sides] = (widest if stage else proposal)[sides]
+        margin = 0.02 * stage  # pixels: the samples of a later stage may hit the edge elsewhere
+        if _sees(camera, upper, margin):
             lower = upper
         for _ in range(20):  # halves the doubt: to a millionth
             middle = (lower + upper) / 2
-            lower, upper = (middle, upper) if _sees(camera, middle) else (lower, middle)
+            lower, upper = (middle, upper) if _sees(camera, middle, margin) else (lower, middle)
         field = lower
     return field
 
@@ -226,12 +257,13 @@ def _slopes(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return (edges - K[[0, 1, 0, 1], 2]) / K[[0, 1, 0, 1], [0, 1, 0, 1]]
 
 
-def _sees(camera: Camera, field: np.ndarray, samples: int = 33) -> bool:
-    """Whether a lens maps a field of view [4] into its image, without folding it."""
+def _sees(camera: Camera, field: np.ndarray, margin: float = 0.0, samples: int = 33) -> bool:
+    """Whether a lens maps a field [4] into its image, up to ``margin`` pixels off, unfolded."""
     left, top, right, bottom = field
     fx, fy = (samples - 1) / (right - left), (samples - 1) / (bottom - top)
     K = np.array([[fx, 0, -left * fx], [0, fy, -top * fy], [0, 0, 1]])
     x, y = _source_pixels(camera, K, (samples, samples))
     width, height = camera.size
-    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+    low, right, bottom = -0.5 - margin, width - 0.5 + margin, height - 0.5 + margin
+    inside = (x >= low) & (x <= right) & (y >= low) & (y <= bottom)
     return bool(inside.all() and (np.diff(x, axis=1) > 0).all() and (np.diff(y, axis=0) > 0).all())

@@ -6,10 +6,11 @@ import multiprocessing
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -57,15 +58,31 @@ def build_scenes(
         return {}
     for folder in {job.directory.parent for job in missing}:
         remove_abandoned(folder)
-    workers = min(workers or os.cpu_count() or 1, len(missing))
+    return run_tasks({job.directory.name: partial(_build, job) for job in missing}, title, workers)
+
+
+def run_tasks(
+    tasks: Mapping[str, Callable[[], None]], title: str, workers: int | None = None
+) -> dict[str, str]:
+    """Run named tasks in processes; one that fails does not stop the others.
+
+    Args:
+        tasks: picklable.
+        title: for the progress bar.
+        workers: processes; None: one a core.
+
+    Returns:
+        Why which task failed, by its name.
+    """
+    workers = min(workers or os.cpu_count() or 1, len(tasks))
     failed: dict[str, str] = {}
     context = multiprocessing.get_context("spawn")
     with (
         progress_bar() as bar,
         ProcessPoolExecutor(workers, mp_context=context, initializer=_worker) as pool,
     ):
-        task = bar.add_task(title, total=len(missing))
-        futures = {pool.submit(_build, job): job.directory.name for job in missing}
+        row = bar.add_task(title, total=len(tasks))
+        futures = {pool.submit(task): name for name, task in tasks.items()}
         for future in as_completed(futures):
             try:
                 future.result()
@@ -73,7 +90,7 @@ def build_scenes(
                 failed[futures[future]] = str(error)
             except (MemoryError, BrokenProcessPool):
                 failed[futures[future]] = "a process ran out of memory; use fewer data.workers"
-            bar.advance(task)
+            bar.advance(row)
     return failed
 
 

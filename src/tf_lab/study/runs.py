@@ -25,7 +25,7 @@ TRAINING_KEYS = (
     "sdf_weight",
 )
 # of the data group: where it lies and how it is made, which shapes nothing
-DATA_PLACES = ("root", "scenes", "workers", "memory")
+DATA_PLACES = ("root", "scenes", "urls", "workers", "memory")
 DATA_AT_TEST = ("test", "test_size", "test_frames")
 DATA_AT_VALIDATION = ("val", "val_size")
 TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")

@@ -51,7 +51,7 @@ def read(directory: Path) -> SourceCapture:
     """
     lines = read_timeline(directory / "Frames.txt", "frame fx fy cx cy", ",")
     poses = read_timeline(directory / "ARposes.txt", "tx ty tz qw qx qy qz", ",")
-    size, images = _images(directory, len(lines.times))
+    size, images = _images(directory, lines)
     frames, skipped = [], []
     left = dict(enumerate(images))
     for time, words in zip(lines.times, lines.values, strict=True):
@@ -68,17 +68,20 @@ def read(directory: Path) -> SourceCapture:
     return collect(directory, frames, skipped, DOWN)
 
 
-def _images(directory: Path, count: int) -> tuple[tuple[int, int], Sequence[Pixels]]:
+def _images(directory: Path, lines: Timeline) -> tuple[tuple[int, int], Sequence[Pixels]]:
     """The size of the images and where they are, by the frame's number."""
     file, folder = directory / "Frames.m4v", directory / "images"
     if file.is_file():
         video = Video(file, upright=False)
-        return video.size, [VideoFrame(video, index) for index in range(video.count(count))]
+        numbers = (int(n) for n, *_ in lines.values if n.isdecimal() and len(n) < 10)
+        count = video.count(1 + max(numbers, default=-1))
+        return video.size, [VideoFrame(video, index) for index in range(count)]
     files = image_files(folder) if folder.is_dir() else []
-    if len(files) != count:
+    if len(files) != len(lines.times):
         raise TFLabError(
-            f"{directory}: no Frames.m4v, and images/ has {len(files)} images for the {count} "
-            "lines of Frames.txt; copy the video from the phone, or extract all of its frames"
+            f"{directory}: no Frames.m4v, and images/ has {len(files)} images for the "
+            f"{len(lines.times)} lines of Frames.txt; copy the video from the phone, or extract "
+            "all of its frames"
         )
     return image_size(files), [ColorFile(path) for path in files]
 

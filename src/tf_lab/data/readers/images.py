@@ -29,12 +29,15 @@ def image_files(directory: Path) -> list[Path]:
     return sorted((path for path in files if not path.name.startswith(".")), key=natural_order)
 
 
-def natural_order(path: PurePath) -> tuple[list[tuple[str, int, str]], str]:
-    """A key to sort paths by, with the numbers in them as numbers."""
-    # alternating text and digits; a longer number is a larger one
-    parts = re.findall(r"(\D*)(\d*)", str(path.parent / path.stem))
-    key = [(text.lower(), digits.lstrip("0"), bool(digits)) for text, digits in parts]
-    return [(text, len(number) if some else -1, number) for text, number, some in key], str(path)
+def natural_order(path: PurePath) -> tuple[list[list[tuple[str, int, str]]], str]:
+    """A key to sort paths by, folder by folder, with the numbers in them as numbers."""
+    return [_natural(part) for part in (*path.parent.parts, path.stem)], str(path)
+
+
+def _natural(text: str) -> list[tuple[str, int, str]]:
+    # alternating words and digits; of two numbers, that with more digits is larger
+    parts = ((word.lower(), digits) for word, digits in re.findall(r"(\D*)(\d*)", text))
+    return [(word, len(d.lstrip("0")) if d else -1, d.lstrip("0")) for word, d in parts]
 
 
 def frame_names(files: Sequence[PurePath]) -> list[str]:

@@ -16,6 +16,8 @@ from tf_lab.data.lens import Camera, rectify_image, register_depth
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 
+MAX_DISTANCE = 1e8  # units of the source; geocentric coordinates in metres are smaller
+
 
 class Pixels(Protocol):
     """Where an image or depth map comes from: called, it is read; as text, it names the file."""
@@ -155,6 +157,8 @@ def collect(
             left_out.append(f"{frame.name}: the pose has NaN or infinity (frame lost)")
         elif not is_valid_pose(torch.from_numpy(frame.world_T_cam)):
             left_out.append(f"{frame.name}: the pose is not a rigid transform")
+        elif np.abs(frame.world_T_cam[:3, 3]).max() > MAX_DISTANCE:
+            left_out.append(f"{frame.name}: the camera is impossibly far from the origin")
         else:
             kept.append(frame)
     if not kept:

@@ -1,0 +1,213 @@
+"""Shards: chunks in tar files of webdataset's layout, for clusters and object storage.
+
+A directory of shards::
+
+    chunks-000000.tar   chunks one after the other; the members of one have its number for a name:
+        00000000.json          scene, frames, image size, and a checksum of what follows
+        00000000.safetensors   cameras, targets, points, signed distances (see `ChunkRecord`)
+        00000000.00.jpg ...    the images, byte by byte as the scene stores them
+    shards.json         written last: how the chunks were drawn, and what the shards must be
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors.torch import load, save
+from webdataset import TarWriter
+
+from tf_lab.data.chunk_sampler import ChunkSampler
+from tf_lab.data.chunks import ChunkRecord
+from tf_lab.data.preparation import run_tasks
+from tf_lab.errors import TFLabError
+from tf_lab.files import atomic_path, remove_abandoned, write_json
+
+FORMAT = 1
+INDEX = "shards.json"
+PLAN = "plan.json"
+TENSORS = ("K", "world_T_cam", "coarse_target", "fine_target", "points", "sdf")
+
+
+def encode(record: ChunkRecord) -> dict[str, bytes]:
+    """A record as the members of a shard, by their suffix."""
+    members = {"safetensors": save({k: getattr(record, k).contiguous() for k in TENSORS})}
+    members |= {f"{i:02d}.jpg": image for i, image in enumerate(record.images)}
+    meta = {
+        "scene": Path(record.scene).name,
+        "frames": list(record.frames),
+        "size": list(record.size),
+        "crc32": _checksum(members),
+    }
+    return {**members, "json": json.dumps(meta).encode()}
+
+
+def decode(sample: Mapping[str, Any]) -> ChunkRecord:
+    """The record of a sample as webdataset reads it.
+
+    Raises:
+        ValueError: the sample is damaged.
+    """
+    members = {k: v for k, v in sample.items() if not k.startswith("__") and k != "json"}
+    try:
+        meta = json.loads(sample["json"])
+        if _checksum(members) != meta["crc32"]:
+            raise ValueError("its checksum is wrong")
+        return ChunkRecord(
+            scene=meta["scene"],
+            frames=meta["frames"],
+            size=tuple(meta["size"]),
+            images=[members[f"{i:02d}.jpg"] for i in range(len(meta["frames"]))],
+            **load(members["safetensors"]),
+        )
+    except Exception as error:  # any damage: missing members, no JSON, other keys
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
+def _checksum(members: Mapping[str, bytes]) -> int:
+    value = 0
+    for name in sorted(members):
+        value = zlib.crc32(members[name], zlib.crc32(name.encode(), value))
+    return value
+
+
+def shard_name(number: int) -> str:
+    """The file name of a shard."""
+    return f"chunks-{number:06d}.tar"
+
+
+def write_shards(
+    directory: Path,
+    sampler: ChunkSampler,
+    count: int,
+    seed: int = 0,
+    per_shard: int = 64,
+    provenance: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+) -> Path:
+    """Write ``count`` chunks, each a function of the seed and its number, one process a shard.
+
+    Whole shards that are there already are kept, so that an interrupted writing goes on.
+
+    Args:
+        directory: for the shards of this set alone.
+        sampler: draws the chunks; its ``images`` are stored of each, of which training may use
+            fewer.
+        count: of chunks in all.
+        seed: of all chunks. Those of the folders' stream of this seed are the same.
+        per_shard: chunks a shard; a reader keeps as many in memory.
+        provenance: kept in the index, where it shapes nothing.
+        workers: processes; None: one a core.
+
+    Returns:
+        The index.
+
+    Raises:
+        TFLabError: the directory holds other chunks, or some could not be drawn.
+    """
+    if count < 1 or per_shard < 1:
+        raise TFLabError(f"{count} chunks, {per_shard} a shard: both must be 1 or more")
+    plan = _plan(sampler, count, seed, per_shard)
+    _claim(directory, plan)
+    index = directory / INDEX
+    numbers = {
+        shard_name(i): range(first, min(first + per_shard, count))
+        for i, first in enumerate(range(0, count, per_shard))
+    }
+    tasks = {
+        name: partial(_write_shard, directory / name, sampler, seed, indices)
+        for name, indices in numbers.items()
+        if not (directory / name).exists()
+    }
+    if index.exists() and not tasks:
+        return index
+    if tasks:
+        failed = run_tasks(tasks, "writing shards", workers)
+        for name, reason in failed.items():
+            raise TFLabError(f"{len(failed)} of {len(tasks)} shards failed, first {name}: {reason}")
+    shards = [_entry(directory / name, len(indices)) for name, indices in numbers.items()]
+    write_json(index, {**plan, "shards": shards, "provenance": dict(provenance or {})})
+    return index
+
+
+def _plan(sampler: ChunkSampler, count: int, seed: int, per_shard: int) -> dict[str, Any]:
+    """All that shapes the chunks."""
+    drawn = {k: v for k, v in asdict(sampler.settings).items() if k not in ("chunks", "views")}
+    del drawn["ranked"]  # as the other two: chosen at every step
+    digest = hashlib.sha256()
+    for scene in sampler.scenes:
+        for name in ("scene.json", "cameras.npz", "groundtruth/chunks.npz"):
+            try:
+                digest.update((scene / name).read_bytes())
+            except OSError as error:
+                raise TFLabError(
+                    f"{scene / name}: cannot be read ({error.strerror}); prepare the scene again"
+                ) from error
+    return {
+        "format": FORMAT,
+        "settings": {**drawn, "near": sampler.near, "far": sampler.far},
+        "seed": seed,
+        "count": count,
+        "per_shard": per_shard,
+        "scenes": [scene.name for scene in sampler.scenes],
+        "scenes_sha256": digest.hexdigest(),
+    }
+
+
+def _claim(directory: Path, plan: Mapping[str, Any]) -> None:
+    """See to it that a directory is for the chunks of this plan alone.
+
+    Raises:
+        TFLabError: it is for others.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    remove_abandoned(directory)
+    path = directory / PLAN
+    shards = list(directory.glob("chunks-*.tar"))  # before the plan: it is written before them
+    if not path.exists():
+        if shards:
+            raise TFLabError(f"{directory}: has shards of unknown origin; choose another directory")
+        write_json(path, plan)
+    try:
+        found = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise TFLabError(f"{path}: damaged ({error}); delete {directory}") from error
+    if found != plan:
+        other = next(k for k in {**plan, **found} if plan.get(k) != found.get(k))
+        raise TFLabError(
+            f"{directory}: is for other chunks ({other}: {str(found.get(other))[:60]}); choose "
+            "another directory, or delete this one"
+        )
+
+
+def _write_shard(path: Path, sampler: ChunkSampler, seed: int, indices: range) -> None:
+    if path.exists():  # another process was faster
+        return
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("wb") as file,
+        # the same bytes whenever and by whomever it is written
+        TarWriter(file, encoder=False, mtime=0, user="", group="", mode=0o644) as tar,
+    ):
+        for index in indices:
+            record = sampler.record(seed, 0, index)
+            width, height = record.size  # a damaged image is told now, not in training
+            count = len(record.images)
+            record.decode(range(count), np.empty((count, 3, height, width), np.uint8))
+            tar.write({"__key__": f"{index:08d}", **encode(record)})
+
+
+def _entry(path: Path, records: int) -> dict[str, Any]:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(2**20):
+            digest.update(block)
+    size = path.stat().st_size
+    return {"name": path.name, "records": records, "bytes": size, "sha256": digest.hexdigest()}

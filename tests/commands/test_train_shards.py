@@ -1,0 +1,57 @@
+"""train data=shards: what is in the shards makes the training, not where they lie."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tiny_jobs import Result, tiny_config
+
+import small_shards
+from tf_lab.configuration import chunk_settings
+from tf_lab.data.chunk_sampler import ChunkSampler
+
+
+@pytest.fixture
+def shards(rooms: Callable[[str], list[Path]], tmp_path: Path) -> Path:
+    """Six chunks of the tiny rooms, in two shards."""
+    config = tiny_config()
+    model = config["model"]
+    drawn = ChunkSampler(rooms("train"), chunk_settings(config), model["near"], model["far"])
+    small_shards.write(tmp_path / "shards", drawn, count=6, per_shard=3)
+    return tmp_path / "shards"
+
+
+def test_training_from_shards(train: Callable[..., Result], shards: Path) -> None:
+    first = train("data=shards", f"data.urls={shards}")
+    assert first.status == 0, first.err
+    assert "Ours" in first.out
+    run = json.loads((first.path("run") / "run.json").read_text())
+    stored = run["training"]["config"]["data"]
+    assert len(stored["identity"]) == 16
+    assert "urls" not in stored
+    # elsewhere, and named in another way
+    moved = shutil.move(shards, shards.parent / "moved")
+    again = train("data=shards", f'data.urls="{moved}/chunks-{{000000..000001}}.tar"')
+    assert "reusing the identical finished training" in again.out
+    assert again.path("run") == first.path("run")
+    half = train("data=shards", f"data.urls={moved}/chunks-000000.tar")
+    assert half.path("training") != first.path("training")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "error: data.urls is missing"),
+        (("data.urls=gone",), "gone: not a shard"),
+        (("data.urls={0}", "training.points=100"), "written with training.points=200, not 100"),
+    ],
+)
+def test_errors(
+    train: Callable[..., Result], shards: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    result = train("data=shards", *(a.format(shards) for a in arguments))
+    assert result.status == 2
+    assert message in result.err
+    assert "Traceback" not in result.err
