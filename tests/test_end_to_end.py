@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from online.scenes import surface_of
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
 from tf_lab.data.groundtruth import GroundTruth
@@ -18,7 +19,6 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
 from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
-from tf_lab.online.mesher import extract
 from tf_lab.scoring import median_views
 
 
@@ -29,7 +29,9 @@ def test_room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return Scene(prepare_rooms(tmp_path_factory.mktemp("rooms"), split, workers=1)["test"][0])
 
 
-def test_true_occupancy_gives_the_true_mesh(test_room: Scene) -> None:
+def test_true_occupancy_gives_the_true_mesh(
+    test_room: Scene, tiny_network: Callable[..., Network]
+) -> None:
     """With the truth in the network's place, what follows the network reaches F > 0.97."""
     truth = GroundTruth(test_room.groundtruth)
     upper = [
@@ -41,7 +43,8 @@ def test_true_occupancy_gives_the_true_mesh(test_room: Scene) -> None:
     def decode(points: Tensor) -> Tensor:
         return torch.nan_to_num(-truth.signed_distance(points), nan=0.1)  # unknown: solid
 
-    mesh = extract(decode, grid, distance < FINE, 0.02)
+    online = surface_of(decode, distance < FINE, grid, tiny_network(), 5)
+    mesh = online.surface.assemble(None)
     scores = evaluate_scene(mesh, test_room.groundtruth)
     assert scores["fscore"] > 0.97
     assert scores["chamfer"] < 2.0  # cm

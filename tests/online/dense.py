@@ -6,25 +6,30 @@ Shares with `tf_lab.online` the view store and the meshing of a field, and nothi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
+from tf_lab.isosurface import mesh_of
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
-from tf_lab.online.mesher import color_vertices, crossing_voxels, extract
+from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.settings import DTYPES, ReconstructionSettings
 from tf_lab.online.view_store import ViewStore
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
+
+
+Decode = Callable[[Tensor], Tensor]
 
 
 @dataclass
@@ -234,3 +239,50 @@ def _crop(grid: VoxelGrid, near: Tensor) -> tuple[VoxelGrid, tuple[slice, slice,
     high = torch.minimum(index.amax(0) + 2, torch.tensor(near.shape)).tolist()
     x, y, z = (slice(a, b) for a, b in zip(low, high, strict=True))
     return grid.block(low, high), (x, y, z)
+
+
+def extract(
+    decode: Decode, grid: VoxelGrid, active: Tensor, resolution: float, batch: int = 1 << 18
+) -> trimesh.Trimesh:
+    """Mesh the occupancy inside active voxels, and only there.
+
+    A marching-cubes cell gives surface only if all its 8 corners lie in active voxels, so the
+    boundary of the mask never makes a surface.
+
+    Args:
+        decode: occupancy logits [P] at points [P, 3] (> 0: solid).
+        grid: the fine voxels.
+        active: bool [X, Y, Z].
+        resolution: edge of the marching-cubes cells, metres; must divide the voxel.
+        batch: points decoded at a time.
+    """
+    n = cells_per_voxel(grid.voxel, resolution)
+    fine = grid.refined(n)
+    mask = active
+    for axis in range(3):
+        mask = mask.repeat_interleave(n, dim=axis)
+    if not mask.any():
+        return trimesh.Trimesh()
+    index = mask.flatten().nonzero().squeeze(1)
+    values = torch.full((mask.numel(),), -1.0)
+    step = torch.tensor([fine.shape[1] * fine.shape[2], fine.shape[2], 1])
+    origin, shape = torch.tensor(fine.origin), torch.tensor(fine.shape)
+    for part in index.split(batch):
+        ijk = (part[:, None] // step) % shape
+        values[part] = decode(origin + (ijk + 0.5) * fine.voxel).float().cpu()
+    return mesh_of(values.view(mask.shape), mask.cpu(), fine)
+
+
+def crossing_voxels(decode: Decode, grid: VoxelGrid, active: Tensor) -> Tensor:
+    """Active voxels within one voxel of a change of occupancy between voxel centres: bool.
+
+    Where no mask tells where the surface is (``filter=false``) this finds the region worth
+    decoding finely, after the multi-resolution extraction of Occupancy Networks (2019).
+    """
+    centers = grid.centers()[active]
+    solid = torch.zeros(grid.shape)
+    solid[active] = torch.cat([(decode(p) > 0).float().cpu() for p in centers.split(1 << 18)])
+    low, high = torch.where(active, solid, 1.0), torch.where(active, solid, 0.0)
+    most = F.max_pool3d(high[None, None], 3, 1, 1)[0, 0]
+    least = -F.max_pool3d(-low[None, None], 3, 1, 1)[0, 0]
+    return active & (most > least)

@@ -1,52 +1,16 @@
-"""From occupancy to a mesh: decode near the surface only, marching cubes, colours."""
+"""The mesh's resolution and its colours."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid, invert_pose, project, sample_maps
-from tf_lab.isosurface import mesh_of
-
-Decode = Callable[[Tensor], Tensor]
-
-
-def extract(
-    decode: Decode, grid: VoxelGrid, active: Tensor, resolution: float, batch: int = 1 << 18
-) -> trimesh.Trimesh:
-    """Mesh the occupancy inside active voxels, and only there.
-
-    A marching-cubes cell gives surface only if all its 8 corners lie in active voxels, so the
-    boundary of the mask never makes a surface.
-
-    Args:
-        decode: occupancy logits [P] at points [P, 3] (> 0: solid).
-        grid: the fine voxels.
-        active: bool [X, Y, Z].
-        resolution: edge of the marching-cubes cells, metres; must divide the voxel.
-        batch: points decoded at a time.
-    """
-    n = cells_per_voxel(grid.voxel, resolution)
-    fine = grid.refined(n)
-    mask = active
-    for axis in range(3):
-        mask = mask.repeat_interleave(n, dim=axis)
-    if not mask.any():
-        return trimesh.Trimesh()
-    index = mask.flatten().nonzero().squeeze(1)
-    values = torch.full((mask.numel(),), -1.0)
-    step = torch.tensor([fine.shape[1] * fine.shape[2], fine.shape[2], 1])
-    origin, shape = torch.tensor(fine.origin), torch.tensor(fine.shape)
-    for part in index.split(batch):
-        ijk = (part[:, None] // step) % shape
-        values[part] = decode(origin + (ijk + 0.5) * fine.voxel).float().cpu()
-    return mesh_of(values.view(mask.shape), mask.cpu(), fine)
+from tf_lab.geometry import invert_pose, project, sample_maps
 
 
 def cells_per_voxel(voxel: float, resolution: float) -> int:
@@ -61,21 +25,6 @@ def cells_per_voxel(voxel: float, resolution: float) -> int:
             f"resolution={resolution}: the fine voxel of {voxel} m must be a multiple of it"
         )
     return n
-
-
-def crossing_voxels(decode: Decode, grid: VoxelGrid, active: Tensor) -> Tensor:
-    """Active voxels within one voxel of a change of occupancy between voxel centres: bool.
-
-    Where no mask tells where the surface is (``filter=false``) this finds the region worth
-    decoding finely, after the multi-resolution extraction of Occupancy Networks (2019).
-    """
-    centers = grid.centers()[active]
-    solid = torch.zeros(grid.shape)
-    solid[active] = torch.cat([(decode(p) > 0).float().cpu() for p in centers.split(1 << 18)])
-    low, high = torch.where(active, solid, 1.0), torch.where(active, solid, 0.0)
-    most = F.max_pool3d(high[None, None], 3, 1, 1)[0, 0]
-    least = -F.max_pool3d(-low[None, None], 3, 1, 1)[0, 0]
-    return active & (most > least)
 
 
 def color_vertices(
