@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.report import draw, tables
 from tf_lab.benchmarks.suite import run_all
-from tf_lab.commands import command, plain, provenance
+from tf_lab.commands import command, device_of, plain, provenance
 from tf_lab.configuration import make_network
 from tf_lab.errors import TFLabError
 from tf_lab.files import atomic_path, write_json
@@ -25,7 +25,7 @@ from tf_lab.online.settings import ReconstructionSettings
 def main(cfg: DictConfig) -> None:
     """Measure everything, print it, write table, JSON and chart."""
     config = plain(cfg)
-    device = _device(config["device"])
+    device = device_of(config["device"])
     torch.manual_seed(config["seed"])
     networks = {
         used: make_network({**config, "filter": used}).to(device).eval().requires_grad_(False)
@@ -73,14 +73,6 @@ def _settings(config: dict[str, Any], device: torch.device) -> BenchmarkSettings
             maps=precision,
         ),
     )
-
-
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
-    return torch.device(name)
 
 
 if __name__ == "__main__":

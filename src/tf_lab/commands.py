@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+import torch
 from hydra.errors import CompactHydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
@@ -104,6 +105,19 @@ def plain(cfg: Any) -> Any:
         MissingMandatoryValue: the user has to give a value and did not.
     """
     return OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+
+
+def device_of(name: str) -> torch.device:
+    """The device called "auto" (CUDA where there is one), "cpu" or "cuda".
+
+    Raises:
+        TFLabError: it is not there.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
+    return torch.device(name)
 
 
 def provenance() -> dict[str, Any]:

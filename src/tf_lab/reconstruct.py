@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import trimesh
 from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, shipped_checkpoint
-from tf_lab.commands import command, plain
+from tf_lab.commands import command, device_of, plain
 from tf_lab.configuration import test_settings
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
@@ -42,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     config = plain(cfg)
     checkpoint = Path(config["checkpoint"]) if config["checkpoint"] else shipped_checkpoint()
     network, info = load_network(checkpoint)
-    network.to(_device(config["device"]))
+    network.to(device_of(config["device"]))
     capture = _open(config, info)
     output = Path(config["output"] or f"outputs/reconstructions/{capture.name}.ply")
     if output.suffix != ".ply":
@@ -126,14 +125,6 @@ def _fuse_depth(capture: Capture, directory: Path) -> None:
 def _in_source_frame(mesh: trimesh.Trimesh, capture: Capture) -> trimesh.Trimesh:
     """A copy in the world of the source's poses."""
     return mesh.copy().apply_transform(capture.source_T_world)
-
-
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
-    return torch.device(name)
 
 
 if __name__ == "__main__":
