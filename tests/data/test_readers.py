@@ -184,6 +184,22 @@ def test_seven_scenes_bad_pose_file_skips_the_frame(
     assert reason in capture.skipped[0]
 
 
+def test_seven_scenes_as_published_has_no_intrinsics_file(
+    written: Callable[[str], Path], tmp_path: Path
+) -> None:
+    directory = tmp_path / "published"
+    directory.mkdir()
+    for i, pose in enumerate(known_poses()):
+        Image.new("RGB", (640, 480)).save(directory / f"frame-{i:06d}.color.png")
+        np.savetxt(directory / f"frame-{i:06d}.pose.txt", pose, fmt="%.17g")
+    capture = open_capture(directory, gravity=DOWN)
+    np.testing.assert_array_equal(capture.K[0], [[585, 0, 320], [0, 585, 240], [0, 0, 1]])
+    other = written("seven_scenes")  # of another size: nothing is assumed
+    (other / "camera-intrinsics.txt").unlink()
+    with pytest.raises(TFLabError, match=r"camera-intrinsics\.txt: missing"):
+        open_capture(other, gravity=DOWN)
+
+
 def test_seven_scenes_pose_without_image_is_listed(written: Callable[[str], Path]) -> None:
     directory = written("seven_scenes")
     (directory / "frame-000004.color.png").unlink()

@@ -2,7 +2,9 @@
 
 ::
 
-    camera-intrinsics.txt       3x3, of the colour images (to which the depth is registered)
+    camera-intrinsics.txt       3x3, of the colour images (to which the depth is registered); not
+                                part of the published sequences, whose 640x480 images then get the
+                                camera that their page states
     frame-000000.color.jpg      or .png
     frame-000000.depth.png      16-bit millimetres, 0 and 65535 = no reading (optional)
     frame-000000.pose.txt       4x4, camera to world
@@ -12,6 +14,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tf_lab.data.lens import Camera
 from tf_lab.data.readers.images import image_files, image_size
 from tf_lab.data.readers.parsing import parse_pose, read_intrinsics
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
@@ -19,6 +22,7 @@ from tf_lab.errors import TFLabError
 
 NAME = "seven_scenes"
 LAYOUT = "frame-XXXXXX.color.(jpg|png), frame-XXXXXX.pose.txt, camera-intrinsics.txt"
+PUBLISHED = Camera((640, 480), 585.0, 585.0, 320.0, 240.0)  # Shotton et al. 2013
 
 
 def detect(directory: Path) -> bool:
@@ -43,7 +47,9 @@ def read(directory: Path) -> SourceCapture:
             "that holds the frames themselves"
         )
     size = image_size(colors.values())
-    camera = read_intrinsics(directory / "camera-intrinsics.txt", size)
+    intrinsics = directory / "camera-intrinsics.txt"
+    published = size == PUBLISHED.size and not intrinsics.exists()
+    camera = PUBLISHED if published else read_intrinsics(intrinsics, size)
     posed = sorted(path.name.split(".")[0] for path in directory.glob("frame-*.pose.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
