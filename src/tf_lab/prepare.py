@@ -73,8 +73,7 @@ def _write_shards(config: dict[str, Any]) -> None:
         provenance(),
         config["data"]["workers"],
     )
-    print(f"{index.parent}: {config['shard_chunks']} chunks; train with data=shards "
-          f"data.urls={index.parent}")  # fmt: skip
+    print(f"{index.parent}: {config['shard_chunks']} chunks; train with data.urls={index.parent}")
 
 
 def _draw(scenes: Mapping[str, Path], folder: Path) -> Path:

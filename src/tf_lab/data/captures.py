@@ -205,7 +205,8 @@ def names_of(given: Sequence[str] | str, known: Sequence[str], what: str) -> lis
     """
     if isinstance(given, str):
         try:
-            given = Path(given).expanduser().read_text().split()
+            given = Path(given).expanduser().read_text().splitlines()
+            given = [line.strip() for line in given if line.strip()]
         except (OSError, UnicodeDecodeError) as error:
             raise TFLabError(f"{what}={given}: cannot be read ({error})") from error
     missing = [name for name in given if name not in known]

@@ -3,8 +3,9 @@
 ::
 
     camera-intrinsics.txt       3x3, of the colour images (to which the depth is registered); not
-                                part of the published sequences, whose 640x480 images then get the
-                                camera that their page states
+                                part of the published sequences: the default depth intrinsics of
+                                their page (585, 320, 240) then serve both cameras, which are not
+                                registered there
     frame-000000.color.jpg      or .png
     frame-000000.depth.png      16-bit millimetres, 0 and 65535 = no reading (optional)
     frame-000000.pose.txt       4x4, camera to world
@@ -21,7 +22,7 @@ from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, Sour
 from tf_lab.errors import TFLabError
 
 NAME = "seven_scenes"
-LAYOUT = "frame-XXXXXX.color.(jpg|png), frame-XXXXXX.pose.txt, camera-intrinsics.txt"
+LAYOUT = "frame-XXXXXX.color.(jpg|png), frame-XXXXXX.pose.txt"
 PUBLISHED = Camera((640, 480), 585.0, 585.0, 320.0, 240.0)  # Shotton et al. 2013
 
 
