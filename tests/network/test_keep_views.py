@@ -37,11 +37,11 @@ def test_ranked_views_are_those_of_the_highest_logit(tiny_network: Callable[...,
     network = tiny_network(heads=1)  # with one head the order of weights is that of the logits
     tokens, valid = example(network)
     kept, slots = network.keep_views("coarse", tokens, valid, 3, True)
-    logits = network.fusion["coarse"].selection_logits(tokens)[..., 0]  # type: ignore[operator]
-    assert slots is not None
+    logits = network.selection_logits("coarse", tokens)
+    assert slots is not None and logits is not None
     for p in range(40):
         views = [v for v in range(9) if valid[p, v]]
-        expected = sorted(views, key=lambda v: -float(logits[p, v]))[:3]
+        expected = sorted(views, key=lambda v: -float(logits[p, v, 0]))[:3]
         assert torch.equal(kept[p][slots[p]], tokens[p, expected])
 
 

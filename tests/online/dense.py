@@ -167,7 +167,7 @@ class DenseReconstructor:
     def _heads(self, level: str) -> int:
         """Heads of the selection logits; 0 if the strategy has no preference."""
         probe = torch.zeros(1, self.network.config.width, device=self.device)
-        logits = self.network.fusion[level].selection_logits(probe)  # type: ignore[operator]
+        logits = self.network.selection_logits(level, probe)
         return 0 if logits is None else logits.shape[-1]
 
     def _store(self, level: str, points: Tensor) -> ViewStore:
@@ -185,7 +185,7 @@ class DenseReconstructor:
         if self.policy.needs_weights:
             maps = self.maps[frame][level][None]
             tokens, _ = self.network.embed(level, maps, points[voxels], K, pose, self.size)
-            logits = self.network.fusion[level].selection_logits(tokens[0])  # type: ignore[operator]
+            logits = self.network.selection_logits(level, tokens[0])
         keys = (points[voxels] / LATTICE).round().long()
         store.add(frame, voxels, keys, logits)
 

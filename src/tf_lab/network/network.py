@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.encoder import Encoder, normalise_images
-from tf_lab.network.fusion import STRATEGIES, weights_from_logits
+from tf_lab.network.fusion import STRATEGIES, Fusion, weights_from_logits
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.tokens import Tokens, measure
@@ -133,6 +133,12 @@ class Network(nn.Module):
         """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
         return self.fusion[level](tokens, slots)
 
+    def selection_logits(self, level: str, tokens: Tensor) -> Tensor | None:
+        """What ranks views with tokens [..., K, D]: [..., K, H]; None: nothing does."""
+        strategy = self.fusion[level]
+        assert isinstance(strategy, Fusion)
+        return strategy.selection_logits(tokens)
+
     def forward(
         self,
         images: Tensor,
@@ -234,7 +240,7 @@ class Network(nn.Module):
         score = torch.arange(valid.shape[1], 0, -1, device=valid.device).expand(valid.shape)
         if ranked:
             with torch.no_grad():
-                logits = self.fusion[level].selection_logits(tokens)  # type: ignore[operator]
+                logits = self.selection_logits(level, tokens)
             if logits is not None:
                 score = weights_from_logits(logits, valid)
         score = score.float().masked_fill(~valid, -1.0)

@@ -52,7 +52,8 @@ class EagerReconstructor(Reconstructor):
         store.put(frame, rows, slot, None)
         tokens, filled = level.tokens(rows, store.views)
         psi, _ = self.network.fuse(level.name, tokens, filled)
-        if store.heads:
-            store.logits[rows] = store.rounded(level.fusion.selection_logits(tokens))  # type: ignore[operator]
+        logits = self.network.selection_logits(level.name, tokens) if store.heads else None
+        if logits is not None:
+            store.logits[rows] = store.rounded(logits)
         level.features["psi"][rows] = psi.float()
         store.dirty[rows] = False

@@ -40,7 +40,6 @@ class Level:
         self, name: str, voxel: float, frames: Frames, store: ViewStore, is_open: bool
     ) -> None:
         self.name, self.voxel, self.frames, self.store = name, voxel, frames, store
-        self.fusion = frames.network.fusion[name]
         self.device = frames.device
         self.blocks = Blocks(BLOCK, self.device)
         width = frames.network.config.width
@@ -75,10 +74,10 @@ class Level:
         logits = self.logits(rows, torch.full_like(rows, frame)) if self.store.heads else None
         self.store.add(frame, rows, self.keys(rows), logits)
 
-    def logits(self, rows: Tensor, frames: Tensor) -> Tensor:
+    def logits(self, rows: Tensor, frames: Tensor) -> Tensor | None:
         """Selection logits [M, H] of frames [M] at rows [M]."""
         tokens = self.frames.tokens(self.name, self.points(rows), frames)
-        return self.fusion.selection_logits(tokens)  # type: ignore[operator]
+        return self.frames.network.selection_logits(self.name, tokens)
 
     def keys(self, rows: Tensor) -> Tensor:
         """Lattice coordinates [M, 3] that no two voxels of any level share."""

@@ -233,7 +233,7 @@ class Reconstructor:
     def _heads(self, level: str) -> int:
         """Heads of the selection logits; 0 if the strategy has no preference."""
         probe = torch.zeros(1, self.network.config.width, device=self.device)
-        logits = self.network.fusion[level].selection_logits(probe)  # type: ignore[operator]
+        logits = self.network.selection_logits(level, probe)
         return 0 if logits is None else logits.shape[-1]
 
     def _level(self, name: str, voxel: float) -> Level:

@@ -10,13 +10,12 @@ are made of; a view's logits depend on that view alone. None if the strategy has
 
 from __future__ import annotations
 
-from torch import nn
-
 from tf_lab.network.fusion.mlp import AverageFusion, PredictedFusion
+from tf_lab.network.fusion.strategy import Fusion
 from tf_lab.network.fusion.transformer import TransformerFusion
 from tf_lab.network.fusion.weights import weights_from_logits
 
-STRATEGIES: dict[str, type[nn.Module]] = {
+STRATEGIES: dict[str, type[Fusion]] = {
     "transformer": TransformerFusion,
     "avg": AverageFusion,
     "pred": PredictedFusion,
@@ -25,6 +24,7 @@ STRATEGIES: dict[str, type[nn.Module]] = {
 __all__ = [
     "STRATEGIES",
     "AverageFusion",
+    "Fusion",
     "PredictedFusion",
     "TransformerFusion",
     "weights_from_logits",

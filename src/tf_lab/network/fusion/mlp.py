@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from tf_lab.network.fusion.strategy import Fusion
 from tf_lab.network.fusion.weights import weights_from_logits
 
 
@@ -36,12 +37,11 @@ class ViewMLP(nn.Module):
         return x
 
 
-class AverageFusion(nn.Module):
+class AverageFusion(Fusion):
     """The mean of the views ("w/o TRSF, avg"). Has no preference among views."""
 
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
-        super().__init__()
-        del heads  # nothing attends here
+        super().__init__(width, blocks, heads, expansion)
         self.mlp = ViewMLP(width, blocks, expansion)
         self.norm = nn.LayerNorm(width)
 
@@ -55,12 +55,11 @@ class AverageFusion(nn.Module):
         return self.norm(_weighted(self.mlp(tokens), weights)), weights
 
 
-class PredictedFusion(nn.Module):
+class PredictedFusion(Fusion):
     """A weighted mean with weights predicted per view ("w/o TRSF, pred")."""
 
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
-        super().__init__()
-        del heads
+        super().__init__(width, blocks, heads, expansion)
         self.mlp = ViewMLP(width, blocks, expansion)
         self.score = nn.Linear(width, 1)
         self.norm = nn.LayerNorm(width)

@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from tf_lab.network.fusion.strategy import Fusion
 from tf_lab.network.fusion.weights import weights_from_logits
 
 
@@ -60,7 +61,7 @@ class Block(nn.Module):
         return F.linear(self.attention_norm(views), columns, constant)
 
 
-class TransformerFusion(nn.Module):
+class TransformerFusion(Fusion):
     """A learned fusion token attends to the views; psi is its output.
 
     The weights are the fusion token's first-block attention over the views, averaged over heads.
@@ -74,14 +75,16 @@ class TransformerFusion(nn.Module):
     """
 
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
-        super().__init__()
+        super().__init__(width, blocks, heads, expansion)
         self.token = nn.Parameter(torch.randn(width) * 0.02)
         self.blocks = nn.ModuleList(Block(width, heads, expansion) for _ in range(blocks))
         self.norm = nn.LayerNorm(width)
 
     def selection_logits(self, tokens: Tensor) -> Tensor:
         """First-block logits [..., K, H] of views [..., K, D]."""
-        return self.blocks[0].logits(self.token, tokens)  # type: ignore[operator]
+        first = self.blocks[0]
+        assert isinstance(first, Block)
+        return first.logits(self.token, tokens)
 
     def forward(self, tokens: Tensor, slots: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """See `tf_lab.network.fusion`."""

@@ -1,0 +1,27 @@
+"""What a fusion strategy is."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+from torch import Tensor, nn
+
+
+class Fusion(nn.Module):
+    """How the views of a voxel become one feature; see `tf_lab.network.fusion`.
+
+    Args:
+        width: D.
+        blocks, heads, expansion: of the transformer; strategies without one match its size.
+    """
+
+    def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
+        super().__init__()
+
+    @abstractmethod
+    def forward(self, tokens: Tensor, slots: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Fused features [..., D] and weights [..., K] of views [..., K, D]."""
+
+    @abstractmethod
+    def selection_logits(self, tokens: Tensor) -> Tensor | None:
+        """What the weights are made of, [..., K, H]; None: no preference among views."""
