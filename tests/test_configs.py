@@ -11,6 +11,8 @@ from hydra import compose, initialize_config_dir
 
 from tf_lab import configuration
 from tf_lab.commands import conf_dir, plain
+from tf_lab.errors import TFLabError
+from tf_lab.online import ReconstructionSettings
 
 CONF = Path(conf_dir())
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -146,3 +148,23 @@ def test_the_wheel_has_configs_and_weights(tmp_path: Path) -> None:
     weights = REPOSITORY / "src" / "tf_lab" / "weights"
     expected += [f"tf_lab/weights/{p.name}" for p in weights.glob("*") if p.is_file()]
     assert [name for name in expected if name not in names] == []
+
+
+def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
+    options = {"precision": "bfloat16", "maps_device": "cpu", "maps_budget": 0.5, "batch": 7}
+    overrides = [f"online.{name}={value}" for name, value in options.items()]
+    for command in ("train", "reconstruct"):
+        found = configuration.test_settings(composed(command, *overrides)).reconstruction
+        assert (found.precision, found.maps, found.maps_device) == ("bfloat16", "bfloat16", "cpu")
+        assert (found.maps_budget, found.batch) == (2**29, 7)
+        default = configuration.test_settings(composed(command)).reconstruction
+        assert default == ReconstructionSettings(views=16)
+    assert composed("benchmark")["online"] == {**composed()["online"], "precision": "auto"}
+
+
+@pytest.mark.parametrize(
+    "wrong", ["precision=int8", "maps_device=tpu3", "maps_budget=0", "maps_budget=-1", "batch=0"]
+)
+def test_what_cannot_be_computed_with_is_told(wrong: str) -> None:
+    with pytest.raises(TFLabError, match=wrong.removeprefix("maps_d").split("=")[0]):
+        configuration.test_settings(composed("train", f"online.{wrong}"))

@@ -15,10 +15,9 @@ from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.report import draw, tables
 from tf_lab.benchmarks.suite import run_all
 from tf_lab.commands import command, device_of, plain, provenance
-from tf_lab.configuration import make_network
+from tf_lab.configuration import make_network, ready, reconstruction_settings
 from tf_lab.errors import TFLabError
 from tf_lab.files import atomic_path, write_json
-from tf_lab.online.settings import ReconstructionSettings
 
 
 @command("benchmark")
@@ -28,7 +27,9 @@ def main(cfg: DictConfig) -> None:
     device = device_of(config["device"])
     torch.manual_seed(config["seed"])
     networks = {
-        used: make_network({**config, "filter": used}).to(device).eval().requires_grad_(False)
+        used: ready(make_network({**config, "filter": used}), config, device)
+        .eval()
+        .requires_grad_(False)
         for used in (True, False)
     }
     results = run_all(networks, _settings(config, device), config["views"], config["eager"])
@@ -55,23 +56,15 @@ def _settings(config: dict[str, Any], device: torch.device) -> BenchmarkSettings
     for name in ("views", "rooms", "counts"):
         if not config[name] or min(config[name]) < 1:
             raise TFLabError(f"{name}={config[name]}: give a list of numbers of at least 1")
-    precision = config["precision"]
-    if precision == "auto":
-        precision = "bfloat16" if device.type == "cuda" else "float32"
     return BenchmarkSettings(
         size=(config["width"], config["height"]),
         frames=config["frames"],
         timed=config["timed"],
         eager_timed=config["eager_timed"],
+        warm_eager=device.type == "cuda" or config["online"]["compile"],
         rooms=tuple(config["rooms"]),
         counts=tuple(config["counts"]),
-        reconstruction=ReconstructionSettings(
-            views=max(config["views"]),
-            resolution=config["resolution"],
-            batch=config["batch"],
-            precision=precision,
-            maps=precision,
-        ),
+        reconstruction=reconstruction_settings(config, views=max(config["views"])),
     )
 
 

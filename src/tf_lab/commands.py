@@ -117,7 +117,10 @@ def device_of(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if name == "cuda" and not torch.cuda.is_available():
         raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
-    return torch.device(name)
+    try:
+        return torch.device(name)
+    except RuntimeError:
+        raise TFLabError(f"device={name}: choose auto, cpu or cuda") from None
 
 
 def provenance() -> dict[str, Any]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import torch
+
 from tf_lab.checkpoint import shipped_encoder
+from tf_lab.commands import device_of
 from tf_lab.data.chunks import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoder import load_encoder_weights
@@ -65,13 +68,37 @@ def optimizer_settings(config: Config) -> OptimizerSettings:
         raise TFLabError(f"optimizer: {error}; see the files in conf/model") from error
 
 
+def reconstruction_settings(config: Config, **others: Any) -> ReconstructionSettings:
+    """Mesh resolution and what the group ``online`` says; ``others`` as they are.
+
+    Raises:
+        TFLabError: a value that cannot be, or a device that is not there.
+    """
+    online, budget = config["online"], config["online"]["maps_budget"]
+    device = online["maps_device"]
+    return ReconstructionSettings(
+        resolution=config["resolution"],
+        batch=online["batch"],
+        precision=online["precision"],
+        maps=online["precision"],
+        maps_device=None if device == "auto" else str(device_of(device)),
+        maps_budget=None if budget is None else round(budget * 2.0**30),
+        **others,
+    )
+
+
+def ready(network: Network, config: Config, device: torch.device) -> Network:
+    """A network on the device that it reconstructs on, compiled if ``online.compile`` says so."""
+    if config["online"]["compile"]:
+        network.compile_parts()
+    return network.to(device)
+
+
 def test_settings(config: Config) -> TestSettings:
     """How scenes are reconstructed at test time."""
     return TestSettings(
-        reconstruction=ReconstructionSettings(
-            views=config["views"],
-            threshold=config["threshold"],
-            resolution=config["resolution"],
+        reconstruction=reconstruction_settings(
+            config, views=config["views"], threshold=config["threshold"]
         ),
         select=config["select"]["policy"],
         seed=config["seed"],

@@ -18,7 +18,7 @@ from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.commands import command, device_of, plain
-from tf_lab.configuration import test_settings
+from tf_lab.configuration import ready, test_settings
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     config = plain(cfg)
     checkpoint = Path(config["checkpoint"]) if config["checkpoint"] else shipped_checkpoint()
     network, info = load_network(checkpoint)
-    network.to(device_of(config["device"]))
+    network = ready(network, config, device_of(config["device"]))
     capture = _open(config, info)
     output = Path(config["output"] or f"outputs/reconstructions/{capture.name}.ply")
     if output.suffix != ".ply":

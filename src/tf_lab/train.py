@@ -23,8 +23,8 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from omegaconf import DictConfig
 
 from tf_lab.checkpoint import load_network, save_network
-from tf_lab.commands import command, plain, provenance
-from tf_lab.configuration import make_network, optimizer_settings, test_settings
+from tf_lab.commands import command, device_of, plain, provenance
+from tf_lab.configuration import make_network, optimizer_settings, ready, test_settings
 from tf_lab.data.datamodule import SceneDataModule
 from tf_lab.datasets import identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
@@ -72,6 +72,8 @@ def evaluate_training(config: Config, checkpoint: Path) -> Path:
             )
         write_config(run, config)
         write_json(run / "run.json", {**provenance(), "checkpoint": str(checkpoint), **info})
+        device = device_of("cpu" if config["trainer"]["accelerator"] == "cpu" else "auto")
+        network = ready(network, config, device)
         test_network(network, scenes, test_settings(config), run, row_label(config))
     return run
 
@@ -105,8 +107,7 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     train, val = training_chunks(config), prepare_data(config, ("val",))["val"]
     network = make_network(config)
     if config["trainer"]["compile"]:
-        for part in (network.encoder, network.fusion["coarse"], network.fusion["fine"]):
-            part.compile(dynamic=True)
+        network.compile_parts()
     optimizer = optimizer_settings(config)
     module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
     data = SceneDataModule(train, val, config["seed"], config["trainer"]["workers"])

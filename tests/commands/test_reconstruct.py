@@ -76,6 +76,22 @@ def test_a_bad_frame_is_skipped_and_counted(reconstruct: Callable[..., Result], 
     assert Path("a/b.png").exists()
 
 
+def test_memory_options_change_no_vertex(
+    reconstruct: Callable[..., Result], posed_images: Path
+) -> None:
+    """Two frames' maps at a time, few voxels at a time; half precision moves the surface a bit."""
+    less = ("online.maps_budget=0.0001", "online.maps_device=cpu", "online.batch=50")
+    meshes = []
+    for name, options in (("a", ()), ("b", less), ("c", ("online.precision=bfloat16",))):
+        result = reconstruct(f"input={posed_images}", f"output={name}.ply", *options)
+        assert result.status == 0, result.err
+        meshes.append(load(Path(f"{name}.ply")))
+    whole, small, half = meshes
+    np.testing.assert_allclose(small.vertices, whole.vertices, atol=1e-4)
+    np.testing.assert_array_equal(small.faces, whole.faces)
+    assert half.vertices.shape != whole.vertices.shape or (half.vertices != whole.vertices).any()
+
+
 def test_without_an_input_a_test_room_is_scored(reconstruct: Callable[..., Result]) -> None:
     result = reconstruct(*ROOM)
     assert (result.status, result.err) == (0, "")

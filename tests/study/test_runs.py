@@ -22,11 +22,12 @@ from tf_lab.study.runs import (
 # Every other setting of train.yaml shapes the weights.
 TEST_TIME = (
     *("views", "select.policy", "resolution", "threshold", "keyframe_distance"),
-    *("data.test_size", "data.test_frames"),
+    *("data.test_size", "data.test_frames", "online.precision"),
 )
 NEITHER = (
     *("data.root", "data.workers", "data.val_size", "logger.kind", "output"),
     *("trainer.workers", "trainer.accelerator", "trainer.compile"),
+    *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.devices", "trainer.strategy", "training.validate_every", "training.save_every"),
 )
 

@@ -97,6 +97,11 @@ class Network(nn.Module):
         self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
         self.occupancy = OccupancyMLP(c.width, c.hidden)
 
+    def compile_parts(self) -> None:
+        """Have torch compile what takes most of the time: the encoder and the fusion modules."""
+        for part in (self.encoder, *self.fusion.values()):
+            part.compile(dynamic=True)
+
     def encode(self, images: Tensor) -> dict[str, Tensor]:
         """Images of 0..255 [N, 3, H, W] to feature maps {"coarse", "fine"} [N, C, h, w]."""
         x = normalise_images(images)

@@ -29,12 +29,12 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, is_valid_pose
 from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
-from tf_lab.online.frustum import frustum_box, frustum_planes, voxels_in
+from tf_lab.online.frustum import frustum_box, voxels_in
 from tf_lab.online.level import Box, Level
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.pipeline import Pipeline
 from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
-from tf_lab.online.settings import DTYPES, ReconstructionSettings
+from tf_lab.online.settings import DTYPES, ReconstructionSettings, dtype_of
 from tf_lab.online.surface import Surface, whole_chunks
 from tf_lab.online.view_store import ViewStore
 
@@ -64,7 +64,8 @@ class Reconstructor:
             policy = RandomSelection()
         self.policy = policy
         maps_device = None if settings.maps_device is None else torch.device(settings.maps_device)
-        self.frames = Frames(network, DTYPES[settings.maps], maps_device, settings.maps_budget)
+        maps = dtype_of(settings.maps, self.device)
+        self.frames = Frames(network, maps, maps_device, settings.maps_budget)
         self.coarse = self._level("coarse", COARSE)
         self.fine = self._level("fine", FINE)
         n = cells_per_voxel(FINE, settings.resolution)
@@ -173,11 +174,11 @@ class Reconstructor:
 
     def _see(self, frame: int) -> None:
         """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
-        voxels = voxels_in(*frustum_box(*self._frustum(frame)), COARSE, self.device)
-        voxels = voxels[self._touched(voxels, frame)]
+        voxels = voxels_in(*frustum_box(*self.frames.frustum(frame)), COARSE, self.device)
         known = self.fine.blocks.find(voxels)
+        known = known[(known >= 0) & self._touched(voxels, frame)]
         self._see_coarse(frame, voxels)
-        self._see_fine(frame, known[known >= 0])
+        self._see_fine(frame, known)
 
     def _see_coarse(self, frame: int, voxels: Tensor) -> None:
         """Offer a frame to those of coarse voxels [P, 3] that it sees."""
@@ -204,16 +205,9 @@ class Reconstructor:
 
     def _touched(self, voxels: Tensor, frame: int) -> Tensor:
         """Coarse voxels [P, 3] that a frustum may touch: bool [P], true for all that it does."""
-        normals, offsets = (
-            torch.from_numpy(x).float().to(self.device)
-            for x in frustum_planes(*self._frustum(frame))
-        )
-        inside = ((voxels.float() + 0.5) * COARSE) @ normals.T + offsets
+        planes = self.frames.cameras["planes"][frame]
+        inside = ((voxels.float() + 0.5) * COARSE) @ planes[:, :3].T + planes[:, 3]
         return (inside > -COARSE).all(1)  # a voxel's corner is 0.87 edges from its centre
-
-    def _frustum(self, frame: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int], float, float]:
-        near, far = self.network.config.near, self.network.config.far
-        return (*self.frames.poses[frame], self.frames.size, near, far)
 
     def _checked(
         self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray
@@ -243,5 +237,5 @@ class Reconstructor:
         return Level(name, voxel, self.frames, store, is_open=name == "coarse")
 
     def _precision(self) -> AbstractContextManager[None]:
-        dtype = DTYPES[self.settings.precision]
+        dtype = dtype_of(self.settings.precision, self.device)
         return torch.autocast(self.device.type, dtype, enabled=dtype != torch.float32)

@@ -17,6 +17,13 @@ DTYPES = {
 }
 
 
+def dtype_of(precision: str, device: torch.device) -> torch.dtype:
+    """The dtype called so; "auto": bfloat16 on a GPU, else float32."""
+    if precision == "auto":
+        precision = "bfloat16" if device.type == "cuda" else "float32"
+    return DTYPES[precision]
+
+
 @dataclass(frozen=True)
 class ReconstructionSettings:
     """Test-time settings.
@@ -26,9 +33,9 @@ class ReconstructionSettings:
         threshold: of both near-surface masks (0.5 in the paper).
         resolution: edge of the marching-cubes cells, metres (0.02 in the paper).
         batch: voxels fused at a time, which bounds the memory.
-        precision: in which the networks compute: "float32", "float16" or "bfloat16".
+        precision: in which the networks compute: "float32", "float16", "bfloat16" or "auto".
         logits: in which selection logits are kept; see `view_store`.
-        maps: in which feature maps are kept.
+        maps: in which feature maps are kept, as ``precision``.
         maps_device: where they are kept ("cpu" beside a GPU); None: where the network is.
         maps_budget: bytes they may take; what has no room is encoded again when needed. None: all
             are kept.
@@ -50,7 +57,9 @@ class ReconstructionSettings:
         if self.batch < 1:
             raise TFLabError(f"batch={self.batch}: at least one voxel is fused at a time")
         cells_per_voxel(FINE, self.resolution)  # told now, not after the training
-        for name in ("precision", "logits", "maps"):
-            if getattr(self, name) not in DTYPES:
-                choices = ", ".join(DTYPES)
+        if self.maps_budget is not None and self.maps_budget <= 0:
+            raise TFLabError("maps_budget: must be more than 0, or null to keep all maps")
+        for name, others in (("precision", ["auto"]), ("logits", []), ("maps", ["auto"])):
+            if getattr(self, name) not in (*DTYPES, *others):
+                choices = ", ".join([*DTYPES, *others])
                 raise TFLabError(f"{name}={getattr(self, name)}: choose one of {choices}")

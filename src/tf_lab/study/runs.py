@@ -44,6 +44,9 @@ def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
 def evaluation_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a resolved config that shapes the scores, given the training."""
     identity = {key: config[key] for key in TEST_KEYS}
+    precision = config.get("online", {}).get("precision", "float32")  # old runs had no choice
+    if precision != "float32":  # the rest of the group changes no number
+        identity["precision"] = precision
     identity["data"] = {k: v for k, v in config["data"].items() if k in DATA_AT_TEST}
     return identity
 
