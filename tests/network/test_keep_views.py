@@ -41,7 +41,7 @@ def test_ranked_views_are_those_of_the_highest_logit(tiny_network: Callable[...,
     assert slots is not None and logits is not None
     for p in range(40):
         views = [v for v in range(9) if valid[p, v]]
-        expected = sorted(views, key=lambda v: -float(logits[p, v, 0]))[:3]
+        expected = sorted(views, key=lambda v: -logits[p, v, 0].item())[:3]
         assert torch.equal(kept[p][slots[p]], tokens[p, expected])
 
 

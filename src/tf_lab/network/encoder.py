@@ -7,6 +7,7 @@ not say which layers give the features; the strides are config values (1/16 and 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 from collections.abc import Sequence
@@ -22,10 +23,16 @@ IMAGENET_URL = "https://download.pytorch.org/models/resnet18-f37072fd.pth"
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
+@functools.cache  # sent to a GPU once
+def _statistics(device: torch.device) -> tuple[Tensor, Tensor]:
+    with torch.inference_mode(False):
+        mean, std = (torch.tensor(x, device=device).view(3, 1, 1) for x in (MEAN, STD))
+        return mean, std
+
+
 def normalise_images(images: Tensor) -> Tensor:
     """uint8 or float RGB in 0..255 [N, 3, H, W] to ImageNet's mean 0 and deviation 1."""
-    mean = torch.tensor(MEAN, device=images.device).view(3, 1, 1)
-    std = torch.tensor(STD, device=images.device).view(3, 1, 1)
+    mean, std = _statistics(images.device)
     return (images.float() / 255 - mean) / std
 
 

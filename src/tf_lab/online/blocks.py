@@ -83,8 +83,8 @@ class Blocks:
 
     def allocate(self, coords: Tensor) -> int:
         """Add the blocks at coordinates [P, 3] that aren't there yet; how many were added."""
-        keys = torch.unique(pack(coords))
-        keys = keys[self.find(unpack(keys)) < 0]
+        missing = coords[self.find(coords) < 0]
+        keys = torch.unique(pack(missing)) if len(missing) else missing[:, 0]
         if len(keys):
             numbers = torch.arange(len(keys), device=keys.device) + len(self)
             self.coords = torch.cat([self.coords, unpack(keys)])

@@ -17,17 +17,28 @@ from torch import Tensor
 
 from tf_lab.geometry import in_view, invert_pose, project, view_rays
 from tf_lab.network.network import LEVELS, Network
+from tf_lab.online.frustum import frustum_planes
 from tf_lab.online.table import Table
 
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
+CAMERA = {"K": (3, 3), "world_T_cam": (4, 4), "cam_T_world": (4, 4), "planes": (6, 4)}
+
+
+def upload(tensor: Tensor, device: torch.device) -> Tensor:
+    """A host's tensor on a device. Waits for none of the work that a GPU still has to do."""
+    if device.type != "cuda":
+        return tensor.to(device)
+    return tensor.pin_memory().to(device, non_blocking=True)
 
 
 class Frames:
     """Frames by number.
 
     Attributes:
-        images: uint8 [3, H, W], on the host.
+        images: uint8 [3, H, W], on the host, all of them: they colour meshes, are what `save`
+            writes, and give the maps again; a tenth of the maps' size or less.
         poses: (K [3, 3], world_T_cam [4, 4]) of each, on the host.
+        cameras: the same by frame, with cam_T_world and the frustum's planes (normal and offset).
 
     Args:
         network: in evaluation mode.
@@ -49,9 +60,8 @@ class Frames:
         self.images: list[Tensor] = []
         self.poses: list[tuple[np.ndarray, np.ndarray]] = []
         self.cameras = Table(self.device)
-        self.cameras.add_column("K", (3, 3), torch.float32, 0)
-        self.cameras.add_column("world_T_cam", (4, 4), torch.float32, 0)
-        self.cameras.add_column("cam_T_world", (4, 4), torch.float32, 0)
+        for name, shape in CAMERA.items():
+            self.cameras.add_column(name, shape, torch.float32, 0)
         self._pools: dict[str, Table] = {}
         self._shape: dict[str, tuple[int, int]] = {}  # (h, w) of the maps
         self._slot = torch.empty(0, dtype=torch.int64, device=self.maps_device)  # by frame, or -1
@@ -70,22 +80,33 @@ class Frames:
         """Memory of the maps."""
         return sum(pool.nbytes() for pool in self._pools.values())
 
+    def map_nbytes(self, level: str) -> int:
+        """Memory of one frame's map."""
+        return self._pools[level].row_nbytes
+
     def add(self, image: Tensor, K: Tensor, world_T_cam: Tensor, encode: bool = True) -> int:
-        """Keep a frame: uint8 [3, H, W], [3, 3] and [4, 4]; its number.
+        """Keep a frame: uint8 [3, H, W], [3, 3] and [4, 4], on the host; its number.
 
         ``encode=False`` leaves its maps until they are needed.
         """
         number = len(self.images)
         self.images.append(image)
-        self.poses.append((K.cpu().numpy(), world_T_cam.cpu().numpy()))
+        self.poses.append((K.numpy(), world_T_cam.numpy()))
+        planes = torch.from_numpy(np.column_stack(frustum_planes(*self.frustum(number)))).float()
+        camera = [x.flatten() for x in (K, world_T_cam, invert_pose(world_T_cam), planes)]
         self.cameras.grow(number + 1)
-        self.cameras["K"][number] = K.to(self.device)
-        self.cameras["world_T_cam"][number] = world_T_cam.to(self.device)
-        self.cameras["cam_T_world"][number] = invert_pose(world_T_cam).to(self.device)
+        parts = upload(torch.cat(camera), self.device).split([len(x) for x in camera])
+        for (name, shape), part in zip(CAMERA.items(), parts, strict=True):
+            self.cameras[name][number] = part.view(shape)
         self._slot = F.pad(self._slot, (0, 1), value=-1)
         if encode:
             self._load(number)
         return number
+
+    def frustum(self, frame: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int], float, float]:
+        """K, world_T_cam, size, nearest and farthest depth (metres) of a frame."""
+        config = self.network.config
+        return (*self.poses[frame], self.size, config.near, config.far)
 
     def visible(self, points: Tensor, frame: int) -> Tensor:
         """Whether a frame sees points [P, 3], occlusion apart: bool [P]."""
@@ -120,10 +141,9 @@ class Frames:
         return out
 
     def _gather(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
-        h, w = self._shape[level]
-        scale = uv.new_tensor([w, h]) / uv.new_tensor(self.size)
-        xy = (uv + 0.5) * scale - 0.5
-        x, y = xy[:, 0].clamp(0, w - 1), xy[:, 1].clamp(0, h - 1)  # the border's value beyond it
+        (h, w), (width, height) = self._shape[level], self.size
+        x = ((uv[:, 0] + 0.5) * (w / width) - 0.5).clamp(0, w - 1)  # the border's value beyond it
+        y = ((uv[:, 1] + 0.5) * (h / height) - 0.5).clamp(0, h - 1)
         x0, y0 = x.floor(), y.floor()
         fx, fy = x - x0, y - y0
         weights = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], 1)
@@ -157,7 +177,7 @@ class Frames:
 
     def _load(self, frame: int) -> None:
         """Encode a frame into a free slot, or into that of the maps unused for longest."""
-        found = self.network.encode(self.images[frame][None].to(self.device))
+        found = self.network.encode(upload(self.images[frame][None], self.device))
         if not self._pools:
             for level in LEVELS:
                 c, h, w = found[level].shape[1:]

@@ -103,10 +103,11 @@ class ViewStore:
 
     def put(self, frame: int, rows: Tensor, slot: Tensor, logits: Tensor | None) -> None:
         """Write measurements [M] into slots [M] (-1: nowhere), and count them as seen."""
-        self.seen[rows] += 1
         kept = slot >= 0
-        rows, slot = rows[kept], slot[kept]
-        self.frames[rows, slot] = frame
-        self.dirty[rows] = True
+        slot = slot.clamp(min=0)  # what isn't kept writes what is there: no list, no waiting for it
+        self.seen[rows] += 1
+        self.dirty[rows] |= kept
+        self.frames[rows, slot] = torch.where(kept, frame, self.frames[rows, slot])
         if logits is not None:
-            self.logits[rows, slot] = self.rounded(logits[kept])
+            old = self.logits[rows, slot]
+            self.logits[rows, slot] = torch.where(kept[:, None], self.rounded(logits), old)
