@@ -1,7 +1,9 @@
 """The benchmark as a user runs it, in a minute's size, and what it reports."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +11,11 @@ import torch
 from tiny_jobs import call
 
 from tf_lab.benchmarks import paper
+from tf_lab.benchmarks.floor import frame_floor
+from tf_lab.benchmarks.measure import BenchmarkSettings
+from tf_lab.benchmarks.meter import Meter
 from tf_lab.benchmarks.rooms import CORNER, SIZE, Rooms, walk
-from tf_lab.benchmarks.stopwatch import Stopwatch
+from tf_lab.online.settings import ReconstructionSettings
 
 SMALL = (
     "model=tiny",
@@ -27,6 +32,17 @@ SMALL = (
     "model.far=2.5",
     "model.width=16",
     "model.blocks=1",
+)
+
+SETTINGS = BenchmarkSettings(
+    size=(64, 48),
+    frames=3,
+    timed=2,
+    eager_timed=2,
+    warm_eager=False,
+    rooms=(1,),
+    counts=(3,),
+    reconstruction=ReconstructionSettings(views=4, resolution=0.1),
 )
 
 
@@ -48,10 +64,12 @@ def test_the_benchmark(tmp_path: Path) -> None:
     assert found["chunk"]["faces"] > 50
     assert all(x["bytes a voxel"] < 256 for x in found["size"])
     assert found["size"][1]["voxels seen"] > found["size"][0]["voxels seen"]
-    assert found["floor"]["eager"]["flops"] > 2 * found["floor"]["lazy"]["flops"]
+    floor = found["floor"]
+    assert floor["eager"]["total"]["flops"] > 2 * floor["lazy"]["total"]["flops"]
+    assert floor["chunk"]["occupancy"]["flops"] > 0
 
 
-@pytest.mark.parametrize("wrong", ["views=[]", "frames=0", "precision=int8", "device=cuda"])
+@pytest.mark.parametrize("wrong", ["views=[]", "frames=0", "online.precision=int8", "device=cuda"])
 def test_what_cannot_be_measured(wrong: str) -> None:
     if wrong == "device=cuda" and torch.cuda.is_available():
         pytest.skip("there is one")
@@ -83,19 +101,40 @@ def test_the_rooms_surface() -> None:
 
 
 class Work:
+    done = 0
+
     def outer(self) -> None:
+        self.done += 2
+        self.inner()
         self.inner()
 
     def inner(self) -> None:
-        sum(range(200_000))
+        self.done += 5
 
 
 def test_a_stage_does_not_pay_for_the_stages_inside_it() -> None:
     work = Work()
-    watch = Stopwatch(torch.device("cpu"))
-    watch.watch(work, "inner", "inner")
-    watch.watch(work, "outer", "outer")
+    meter = Meter(lambda: work.done)
+    meter.watch(work, "inner", "inner")
+    meter.watch(work, "outer", "outer")
     work.outer()
-    found = watch.take()
-    assert 0 <= found["outer"] < 0.5 * found["inner"]
-    assert watch.take() == {}
+    assert meter.take() == {"inner": 10, "outer": 2}
+    assert meter.take() == {}
+
+
+def test_the_floor_counts_what_convolutions_take(tiny_network: Callable[..., Any]) -> None:
+    """2 C k^2 FLOPs for every output of a convolution, and no more, in feature extraction."""
+    network = tiny_network(far=2.5).requires_grad_(False)
+    found = frame_floor(network, SETTINGS, False, {"flops": 1e9, "bytes": 1e9})
+    counted: list[int] = []
+    for module in network.encoder.modules():
+        if isinstance(module, torch.nn.Conv2d):
+            taps = module.weight[0].numel()
+            module.register_forward_hook(
+                lambda _m, _i, out, taps=taps: counted.append(2 * taps * out.numel())
+            )
+    network.encode(torch.zeros(1, 3, 48, 64))
+    assert found["feature extraction"]["flops"] == pytest.approx(sum(counted), rel=1e-4)
+    assert found["total"]["ms"] == pytest.approx(
+        sum(found[stage]["ms"] for stage in found if stage != "total")
+    )

@@ -2,69 +2,133 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 import torch
+import torch.nn.functional as F
 from torch.utils.flop_counter import FlopCounterMode
 
-from tf_lab.benchmarks.measure import BenchmarkSettings, measurements, prepared
-from tf_lab.benchmarks.rooms import walk
-from tf_lab.benchmarks.stopwatch import Stopwatch
+from tf_lab.benchmarks import measure
+from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES, BenchmarkSettings
+from tf_lab.benchmarks.meter import clock
 from tf_lab.network.network import Network
+from tf_lab.online.level import Level
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.settings import DTYPES
 
-
-def rates(device: torch.device, dtype: torch.dtype) -> dict[str, float]:
-    """Measured FLOP/s of a large matrix product, and bytes/s of a large copy (read and write)."""
-    n = 8192 if device.type == "cuda" else 1024
-    a = torch.randn(n, n, device=device).to(dtype)
-    x = torch.empty(2**28 if device.type == "cuda" else 2**24, device=device)
-    y = torch.zeros_like(x)
-    watch = Stopwatch(device)
-
-    def best(work: Any) -> float:
-        times = []
-        for _ in range(20):
-            start = watch.now()
-            work()
-            times.append(watch.now() - start)
-        return min(times)
-
-    return {
-        "flops": 2 * n**3 / best(lambda: a @ a),
-        "bytes": 2 * x.nbytes / best(lambda: x.copy_(y)),
-    }
+Work = dict[str, float]  # "flops", "bytes", "ms"
 
 
 @torch.inference_mode()
-def floor(
-    network: Network, settings: BenchmarkSettings, eager: bool, rate: Mapping[str, float]
-) -> dict[str, float]:
-    """FLOPs and least bytes of adding a frame, and the time that they take at best: milliseconds.
+def rates(device: torch.device, dtype: torch.dtype) -> dict[str, float]:
+    """The most FLOP/s and bytes/s that this machine shows, at sizes as the stages have them.
 
-    ``rate`` is what `rates` measured.
+    FLOP/s of matrix products, square and as of tokens, and of a convolution; bytes/s (read and
+    written) of copies that fit in a cache and of some that do not.
     """
-    r = prepared(network, settings, 1, eager)
-    frame = next(walk(range(1), settings.frames + 1, settings.size))
-    seen = measurements(r)
-    with FlopCounterMode(display=False) as counter:
-        r.add_frame(*frame)
-    flops = counter.get_total_flops()
-    moved = _bytes(r, measurements(r) - seen)
-    return {
-        "flops": flops,
-        "bytes": moved,
-        "ms": 1000 * max(flops / rate["flops"], moved / rate["bytes"]),
-    }
+    n, most = (8192, 28) if device.type == "cuda" else (1024, 24)
+    square = torch.randn(n, n, device=device, dtype=dtype)
+    tokens = torch.randn(1 << 14, 256, device=device, dtype=dtype)
+    layer = torch.randn(256, 1024, device=device, dtype=dtype)
+    maps = torch.randn(1, 256, 60, 80, device=device, dtype=dtype)
+    kernel = torch.randn(256, 256, 3, 3, device=device, dtype=dtype)
+    seconds = _best_of(device, 10)
+    flops = [
+        2 * n**3 / seconds(lambda: square @ square),
+        2 * tokens.numel() * layer.shape[1] / seconds(lambda: tokens @ layer),
+        2
+        * maps[0, 0].numel()
+        * kernel.numel()
+        / seconds(lambda: F.conv2d(maps, kernel, padding=1)),
+    ]
+    x = torch.zeros(1 << most, device=device)
+    y = torch.zeros_like(x)
+    moved = []
+    for bits in range(16, most + 1, 4):
+        a, b = x[: 1 << bits], y[: 1 << bits]
+        moved.append(2 * a.nbytes / seconds(lambda a=a, b=b: a.copy_(b)))  # type: ignore[misc]
+    return {"flops": max(flops), "bytes": max(moved)}
 
 
-def _bytes(r: Reconstructor, count: int) -> float:
-    """What must be read or written at least: weights, image, maps, samples and view sets."""
-    weights = sum(p.nbytes for p in r.network.encoder.parameters())
-    maps = r.frames.nbytes / len(r.frames)
-    features = r.network.config.encoder["fine_channels"]
-    sample = 4 * features * DTYPES[r.settings.maps].itemsize
-    sets = 2 * r.fine.store.nbytes / max(1, r.fine.blocks.rows)
-    return weights + r.frames.images[0].nbytes + maps + count * (sample + sets)
+def _best_of(device: torch.device, times: int) -> Callable[[Callable[[], object]], float]:
+    now = clock(device)
+
+    def seconds(work: Callable[[], object]) -> float:
+        found = []
+        for _ in range(times):
+            start = now()
+            work()
+            found.append(now() - start)
+        return min(found)
+
+    return seconds
+
+
+@contextmanager
+def counting() -> Iterator[Callable[[], float]]:
+    """Counts FLOPs, of compiled modules too; gives what reads the sum so far."""
+    with torch.compiler.set_stance("force_eager"), FlopCounterMode(display=False) as counter:
+        yield counter.get_total_flops
+
+
+def frame_floor(
+    network: Network, settings: BenchmarkSettings, eager: bool, rate: Mapping[str, float]
+) -> dict[str, Work]:
+    """What adding a frame takes at least, by stage, with the frames that `per_frame` times."""
+    r, frames = measure.at_work(network, settings, eager)
+    seen = measure.frame_meter(r, lambda: measure.measurements(r))
+    with counting() as flops:
+        work = measure.frame_meter(r, flops)
+        for frame in frames:
+            r.add_frame(*frame)
+    done, voxels = work.take(), seen.take()
+    return _with_total(
+        {
+            stage: _work(
+                done[stage] / len(frames), _bytes(r, stage, voxels[stage] / len(frames)), rate
+            )
+            for stage in STAGES
+            if stage in done
+        }
+    )
+
+
+def chunk_floor(
+    network: Network, settings: BenchmarkSettings, rate: Mapping[str, float]
+) -> dict[str, Work]:
+    """What meshing a chunk takes at least, by stage; only FLOPs are counted."""
+    r, region = measure.with_chunk(network, settings)
+    with counting() as flops:
+        work = measure.chunk_meter(r, flops)
+        measure.mesh_again(r, region)
+    done = work.take()
+    return _with_total({stage: _work(done[stage], 0, rate) for stage in CHUNK_STAGES})
+
+
+def _work(flops: float, moved: float, rate: Mapping[str, float]) -> Work:
+    ms = 1000 * max(flops / rate["flops"], moved / rate["bytes"])
+    return {"flops": flops, "bytes": moved, "ms": ms}
+
+
+def _with_total(stages: dict[str, Work]) -> dict[str, Work]:
+    """One stage comes after the other, so their least times add up."""
+    total = {key: sum(work[key] for work in stages.values()) for key in ("flops", "bytes", "ms")}
+    return {**stages, "total": total}
+
+
+def _bytes(r: Reconstructor, stage: str, voxels: float) -> float:
+    """What a stage must read or write, if caches forget nothing while it lasts."""
+    if stage == "feature extraction":
+        weights = sum(p.nbytes for p in r.network.encoder.parameters())
+        maps = sum(r.frames.map_nbytes(level.name) for level in (r.coarse, r.fine))
+        return weights + r.frames.images[0].nbytes + maps
+    if stage == "near-surface masks":
+        return 0
+    return _measuring(r, r.coarse if stage == "coarse fusion" else r.fine, voxels)
+
+
+def _measuring(r: Reconstructor, level: Level, voxels: float) -> float:
+    """Bytes of the samples (each texel once) and of the logits that select."""
+    channels = r.network.config.encoder[f"{level.name}_channels"]
+    texels = 4 * voxels * channels * r.frames.dtype.itemsize
+    return min(texels, r.frames.map_nbytes(level.name)) + voxels * level.store.logits[:1].nbytes

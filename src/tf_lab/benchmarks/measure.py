@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from tf_lab.benchmarks.meter import Meter, clock
 from tf_lab.benchmarks.rooms import Rooms, walk
-from tf_lab.benchmarks.stopwatch import Stopwatch
 from tf_lab.geometry import CHUNK, COARSE, FINE
 from tf_lab.network.network import Network
 from tf_lab.online.eager import EagerReconstructor
@@ -21,6 +20,9 @@ from tf_lab.online.settings import ReconstructionSettings
 STAGES = ("feature extraction", "coarse fusion", "near-surface masks", "fine fusion")
 CHUNK_STAGES = ("coarse refinement", "fine refinement", "occupancy", "marching cubes")
 FUSED = 1000  # voxels, for the cost of fusion by itself
+
+Frame = tuple[np.ndarray, ...]  # image, K, world_T_cam
+Region = tuple[list[float], list[float]]  # lower and upper corner, metres
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class BenchmarkSettings:
         frames: added to every room before anything is timed.
         timed: frames over which lazy fusion is timed.
         eager_timed: the same for eager fusion, which takes much longer.
+        warm_eager: whether eager fusion gets a frame to warm up, too.
         rooms: room counts for the cost against scene size.
         counts: frame counts for the cost against time.
         reconstruction: views and precisions.
@@ -41,6 +44,7 @@ class BenchmarkSettings:
     frames: int
     timed: int
     eager_timed: int
+    warm_eager: bool
     rooms: tuple[int, ...]
     counts: tuple[int, ...]
     reconstruction: ReconstructionSettings
@@ -58,7 +62,7 @@ def prepared(
     if views:
         reconstruction = replace(reconstruction, views=views)
     r = (EagerReconstructor if eager else Reconstructor)(network, reconstruction)
-    Rooms(rooms).install(r)
+    r.pipeline.known = Rooms(rooms).solid
     if isinstance(r, EagerReconstructor):
         r.literal = False
     for frame in walk(range(rooms), settings.frames, settings.size):
@@ -80,60 +84,82 @@ def settle(r: Reconstructor) -> None:
         level.store.dirty[:] = False
 
 
-def watched(r: Reconstructor) -> Stopwatch:
-    """A stopwatch on the stages of adding a frame."""
-    watch = Stopwatch(r.device)
-    watch.watch(r.frames, "_load", STAGES[0])
-    watch.watch(r, "_see_coarse", STAGES[1])
-    watch.watch(r.pipeline, "update_coarse", STAGES[2])
-    watch.watch(r, "_see_fine", STAGES[3])
-    watch.watch(r.pipeline, "discover", "earlier views")
-    return watch
+def at_work(
+    network: Network, settings: BenchmarkSettings, eager: bool, views: int = 0
+) -> tuple[Reconstructor, list[Frame]]:
+    """A prepared reconstruction, warm, and the frames to measure: poses that it has not seen."""
+    r = prepared(network, settings, 1, eager, views)
+    frames = list(walk(range(1), settings.frames + 1, settings.size))
+    if settings.warm_eager or not eager:
+        r.add_frame(*frames.pop())
+    count = settings.eager_timed if eager else settings.timed
+    return r, [frames[int((i + 0.5) / count * len(frames))] for i in range(count)]
+
+
+def frame_meter(r: Reconstructor, read: Callable[[], float]) -> Meter:
+    """Watches the stages of adding a frame."""
+    meter = Meter(read)
+    meter.watch(r, "add_frame", STAGES[0])  # with checking and sending the image
+    meter.watch(r, "_see", STAGES[1])  # with finding the voxels in view
+    meter.watch(r, "_see_coarse", STAGES[1])
+    meter.watch(r.pipeline, "update_coarse", STAGES[2])
+    meter.watch(r, "_see_fine", STAGES[3])
+    meter.watch(r.pipeline, "discover", "earlier views")
+    return meter
 
 
 def per_frame(
     network: Network, settings: BenchmarkSettings, eager: bool, views: int
 ) -> dict[str, float]:
     """Milliseconds a frame by stage, "total" without "earlier views", and "fps"."""
-    r = prepared(network, settings, 1, eager, views)
-    count = settings.eager_timed if eager else settings.timed
-    frames = list(walk(range(1), settings.frames + 1, settings.size))  # other poses than before
-    if not eager:
-        r.add_frame(*frames[-1])  # warm
-    watch = watched(r)
-    for i in range(count):
-        r.add_frame(*frames[i % len(frames)])
-    found = {stage: 1000 * s / count for stage, s in watch.take().items()}
+    r, frames = at_work(network, settings, eager, views)
+    meter = frame_meter(r, clock(r.device))
+    for frame in frames:
+        r.add_frame(*frame)
+    found = {stage: 1000 * s / len(frames) for stage, s in meter.take().items()}
     found["total"] = sum(found.get(stage, 0.0) for stage in STAGES)
     found["fps"] = 1000 / found["total"]
     return found
 
 
-@torch.inference_mode()
-def per_chunk(network: Network, settings: BenchmarkSettings) -> dict[str, float]:
-    """Milliseconds by stage to mesh the fullest chunk, with the surroundings that it needs."""
+def with_chunk(network: Network, settings: BenchmarkSettings) -> tuple[Reconstructor, Region]:
+    """A prepared reconstruction, and a region in its fullest chunk."""
     r = prepared(network, settings, 1)
     chunks = torch.div(r.fine.blocks.coords, round(CHUNK / COARSE), rounding_mode="floor")
     chunks, filled = torch.unique(chunks, dim=0, return_counts=True)
     centre = (chunks[filled.argmax()].cpu().numpy() + 0.5) * CHUNK
-    found: dict[str, float] = {}
-    for _ in range(2):  # the first time warms up
-        for level in (r.coarse, r.fine):
-            for stage in ("refined", "near", "values"):
-                level.flags[stage][:] = True
-        watch = Stopwatch(r.device)
-        for method in ("refine_coarse", "mask_coarse"):
-            watch.watch(r.pipeline, method, CHUNK_STAGES[0])
-        for method in ("refine_fine", "mask_fine"):
-            watch.watch(r.pipeline, method, CHUNK_STAGES[1])
-        watch.watch(r.pipeline, "update_values", CHUNK_STAGES[2])
-        watch.watch(r.surface, "update", CHUNK_STAGES[3])
-        region = (centre - 0.1).tolist(), (centre + 0.1).tolist()
-        mesh = r.mesh(region, color=False)
-        found = {stage: 1000 * s for stage, s in watch.take().items()}
-    found["total"] = sum(found[stage] for stage in CHUNK_STAGES)
-    found["faces"] = len(mesh.faces)
-    return found
+    return r, ((centre - 0.1).tolist(), (centre + 0.1).tolist())
+
+
+def chunk_meter(r: Reconstructor, read: Callable[[], float]) -> Meter:
+    """Watches the stages of meshing."""
+    meter = Meter(read)
+    for method in ("refine_coarse", "mask_coarse"):
+        meter.watch(r.pipeline, method, CHUNK_STAGES[0])
+    for method in ("refine_fine", "mask_fine"):
+        meter.watch(r.pipeline, method, CHUNK_STAGES[1])
+    meter.watch(r.pipeline, "update_values", CHUNK_STAGES[2])
+    meter.watch(r.surface, "update", CHUNK_STAGES[3])
+    return meter
+
+
+@torch.inference_mode()
+def mesh_again(r: Reconstructor, region: Region) -> int:
+    """Mesh a region as if all that lies before marching cubes, fusion apart, were out of date."""
+    for level in (r.coarse, r.fine):
+        for stage in ("refined", "near", "values"):
+            level.flags[stage][:] = True
+    return len(r.mesh(region, color=False).faces)
+
+
+def per_chunk(network: Network, settings: BenchmarkSettings) -> dict[str, float]:
+    """Milliseconds by stage to mesh the fullest chunk, with the surroundings that it needs."""
+    r, region = with_chunk(network, settings)
+    mesh_again(r, region)  # warms up
+    meter = chunk_meter(r, clock(r.device))
+    faces = mesh_again(r, region)
+    found = {stage: 1000 * s for stage, s in meter.take().items()}
+    return {**found, "total": sum(found[stage] for stage in CHUNK_STAGES), "faces": faces}
 
 
 @torch.inference_mode()
@@ -141,10 +167,13 @@ def fusion(network: Network, settings: BenchmarkSettings) -> dict[str, float]:
     """Milliseconds to fuse 1000 voxels, which lazy fusion puts off until a mesh is asked for."""
     r = prepared(network, settings, 1)
     rows = r.fine.store.seen.topk(min(FUSED, len(r.fine.store.seen))).indices
-    watch = Stopwatch(r.device)
-    with r._precision():
-        best = min(_seconds(watch, lambda: r.fine.fuse(rows, len(rows))) for _ in range(2))
-    return {"fuse 1000 voxels": 1000 * best * FUSED / len(rows)}
+    now, times = clock(r.device), []
+    for _ in range(2):
+        start = now()
+        with r._precision():
+            r.fine.fuse(rows, len(rows))
+        times.append(now() - start)
+    return {"fuse 1000 voxels": 1000 * min(times) * FUSED / len(rows)}
 
 
 def against_size(network: Network, settings: BenchmarkSettings) -> list[dict[str, Any]]:
@@ -154,8 +183,8 @@ def against_size(network: Network, settings: BenchmarkSettings) -> list[dict[str
         r = prepared(network, settings, rooms)
         last = range(rooms - 1, rooms)
         voxels = sum(int((x.store.seen > 0).sum()) for x in (r.coarse, r.fine))
-        low, high = (f(r.coarse.blocks.coords * 3) for f in (_least, _most))
-        box = float(np.prod(high - low + 3)) * (1 + (COARSE / FINE) ** 3)
+        coords = r.coarse.blocks.coords.cpu().numpy() * 3
+        box = float(np.prod(np.ptp(coords, 0) + 3)) * (1 + (COARSE / FINE) ** 3)
         memory, before = r.memory, measurements(r)
         took = _median_frame(r, settings, last)
         found.append(
@@ -192,31 +221,10 @@ def measurements(r: Reconstructor) -> int:
 
 def _median_frame(r: Reconstructor, settings: BenchmarkSettings, rooms: range) -> float:
     """Milliseconds to add a frame, without its feature extraction."""
-    watch = watched(r)
+    meter = frame_meter(r, clock(r.device))
     times = []
     for frame in walk(rooms, settings.timed, settings.size):
         r.add_frame(*frame)
-        stages = watch.take()
+        stages = meter.take()
         times.append(sum(stages.get(stage, 0.0) for stage in STAGES[1:]))
     return 1000 * float(np.median(times))
-
-
-def peak_memory(device: torch.device) -> int:
-    """Bytes, at most, that this process has had on the device."""
-    if device.type == "cuda":
-        return torch.cuda.max_memory_allocated(device)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
-def _seconds(watch: Stopwatch, work: Callable[[], Any]) -> float:
-    start = watch.now()
-    work()
-    return watch.now() - start
-
-
-def _least(coords: torch.Tensor) -> np.ndarray:
-    return coords.amin(0).cpu().numpy()
-
-
-def _most(coords: torch.Tensor) -> np.ndarray:
-    return coords.amax(0).cpu().numpy()

@@ -21,16 +21,17 @@ def tables(found: Mapping[str, Any]) -> str:
         _table("Meshing a 1.5 m chunk (ms)", *_chunk(found)),
         _table("Against scene size", *_size(found)),
         _table("Against frames already there", *_count(found)),
-        _table("Floor of adding a frame", *_floor(found)),
+        _table("Floor: the work at the best rates measured here", *_floor(found)),
+        f"{found['rates']['flops'] / 1e9:,.0f} GFLOP/s, {found['rates']['bytes'] / 1e9:,.1f} GB/s",
         _table("Ratios", ["", "ratio"], [[k, f"{v:.2f}"] for k, v in found["ratios"].items()]),
-        f"peak memory: {found['peak memory'] / MIB:.0f} MiB",
+        _table("Peak memory", *_memory(found)),
         "paper: Bozic et al. 2021, supplement, on an RTX 3090",
     ]
     return "\n\n".join(parts)
 
 
 def _modes(found: Mapping[str, Any]) -> list[str]:
-    return [mode for mode in ("lazy", "eager") if mode in found["floor"]]
+    return [mode for mode in found["floor"] if mode != "chunk"]
 
 
 def _frame(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
@@ -97,20 +98,25 @@ def _count(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
 
 def _floor(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     rows = []
-    for mode, x in found["floor"].items():
-        total = found["frame"][f"{mode} {found['views']}"]["total"]
-        rows.append(
-            [
-                mode,
-                f"{x['flops'] / 1e9:.2f}",
-                f"{x['bytes'] / 1e9:.3f}",
-                f"{found['rates']['flops'] / 1e9:.0f}",
-                f"{found['rates']['bytes'] / 1e9:.1f}",
-                f"{x['ms']:.2f}",
-                f"{total / x['ms']:.1f}",
-            ]
-        )
-    return ["", "GFLOP", "GB", "GFLOP/s here", "GB/s here", "floor ms", "measured / floor"], rows
+    for name, stages in found["floor"].items():
+        measured = found["chunk"] if name == "chunk" else found["frame"][f"{name} {found['views']}"]
+        for stage, x in stages.items():
+            rows.append(
+                [
+                    f"{name}, {stage}",
+                    f"{x['flops'] / 1e9:,.2f}",
+                    f"{x['bytes'] / 1e6:,.1f}",
+                    f"{x['ms']:,.2f}",
+                    f"{measured[stage]:,.2f}",
+                    f"{measured[stage] / x['ms']:.2f}" if x["ms"] else "-",
+                ]
+            )
+    return ["", "GFLOP", "MB", "floor ms", "measured ms", "measured / floor"], rows
+
+
+def _memory(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
+    rows = [[name, f"{peak / MIB:,.0f}"] for name, peak in found["peak memory"].items()]
+    return ["", "MiB"], rows
 
 
 def _table(title: str, head: Sequence[str], rows: Rows) -> str:

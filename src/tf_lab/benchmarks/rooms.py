@@ -10,13 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
-
-from tf_lab.geometry import FINE
-from tf_lab.online.blocks import offsets
-from tf_lab.online.level import Level
-from tf_lab.online.reconstructor import Reconstructor
 
 SIZE = np.array([5.0, 4.0, 2.6])  # metres, of a room; rooms stand in a row along x
 CORNER = np.array([0.13, 0.17, 0.11])  # metres, of the first room: off all lattices
@@ -37,29 +31,6 @@ class Rooms:
         centre[:, 0] += room * size[0]
         beyond = (points - centre).abs() - size / 2
         return beyond.clamp(min=0).norm(dim=1) + beyond.amax(1).clamp(max=0)
-
-    def install(self, reconstructor: Reconstructor) -> None:
-        """Let the true surface follow what the networks compute."""
-        pipeline = reconstructor.pipeline
-        near_rows, decoded = pipeline.near_rows, pipeline.decoded
-
-        def true_near(
-            level: Level, numbers: Tensor, head: torch.nn.Module
-        ) -> tuple[Tensor, Tensor]:
-            rows, near = near_rows(level, numbers, head)
-            if not pipeline.filter:
-                return rows, near
-            return rows, self.solid(level.points(rows)).abs() < level.voxel
-
-        def true_decoded(decode: object, numbers: Tensor, rows: Tensor) -> Tensor:
-            n = decode.n  # type: ignore[attr-defined]
-            decoded(decode, numbers, rows)  # type: ignore[arg-type]
-            inner = ((offsets(n, rows.device) + 0.5) / n - 0.5) * FINE
-            points = reconstructor.fine.points(rows)[:, None] + inner
-            return self.solid(points.reshape(-1, 3)).view(len(rows), -1) / 0.05
-
-        pipeline.near_rows = true_near  # type: ignore[method-assign]
-        pipeline.decoded = true_decoded  # type: ignore[method-assign]
 
 
 def intrinsics(size: tuple[int, int]) -> np.ndarray:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from tf_lab.benchmarks import measure
-from tf_lab.benchmarks.floor import floor, rates
+from tf_lab.benchmarks.floor import chunk_floor, frame_floor, rates
 from tf_lab.benchmarks.measure import BenchmarkSettings
+from tf_lab.benchmarks.memory import peak_memory, reset_peak
 from tf_lab.network.network import Network
-from tf_lab.online.settings import DTYPES
+from tf_lab.online.settings import dtype_of
 from tf_lab.progress import progress_bar
 
 
@@ -28,62 +30,74 @@ def run_all(
         eager: whether eager fusion is measured too.
 
     Returns:
-        By measurement, ready for JSON; times in milliseconds.
+        By measurement, ready for JSON; times in milliseconds, memory in bytes.
     """
-    filtered, most = networks[True], max(views)
+    network, most = networks[True], max(views)
     modes = ("lazy", "eager") if eager else ("lazy",)
-    device = next(filtered.parameters()).device
-    rate = rates(device, DTYPES[settings.reconstruction.precision])
-    found: dict[str, Any] = {"views": most, "frame": {}, "floor": {}, "rates": rate}
+    device = next(network.parameters()).device
+    dtype = dtype_of(settings.reconstruction.precision, device)
+    frame: dict[str, Any] = {}
+    floor: dict[str, Any] = {}
+    memory: dict[str, int] = {}
     with progress_bar() as bar:
-        steps = len(modes) * (len(views) + 2) + 4
-        task = bar.add_task("", total=steps)
+        task = bar.add_task("", total=len(modes) * (len(views) + 2) + 6)
 
-        def start(text: str) -> None:
-            bar.update(task, advance=1, description=text)
+        def run(name: str, work: Callable[[], Any]) -> Any:
+            bar.update(task, description=name)
+            reset_peak(device)
+            result = work()
+            memory[name] = peak_memory(device)
+            bar.advance(task)
+            return result
 
+        rate = run("rates", partial(rates, device, dtype))
         for mode in modes:
-            is_eager = mode == "eager"
-            for k in views:
-                start(f"{mode} fusion, K = {k}")
-                found["frame"][f"{mode} {k}"] = measure.per_frame(filtered, settings, is_eager, k)
-            start(f"{mode} fusion without filter")
-            found["frame"][f"{mode} {most} without filter"] = measure.per_frame(
-                networks[False], settings, is_eager, most
+            cases = {f"{mode} {k}": (network, k) for k in views}
+            cases[f"{mode} {most} without filter"] = (networks[False], most)
+            for name, (used, k) in cases.items():
+                frame[name] = run(
+                    name, partial(measure.per_frame, used, settings, mode == "eager", k)
+                )
+            floor[mode] = run(
+                f"{mode} floor", partial(frame_floor, network, settings, mode == "eager", rate)
             )
-            start(f"{mode} floor")
-            found["floor"][mode] = floor(filtered, settings, is_eager, rate)
-        start("meshing a chunk")
-        found["chunk"] = measure.per_chunk(filtered, settings)
-        found["chunk"].update(measure.fusion(filtered, settings))
-        start("scene sizes")
-        found["size"] = measure.against_size(filtered, settings)
-        start("frame counts")
-        found["count"] = measure.against_count(filtered, settings)
-    found["peak memory"] = measure.peak_memory(device)
-    found["ratios"] = ratios(found)
-    return found
+        chunk = run("chunk", partial(measure.per_chunk, network, settings))
+        floor["chunk"] = run("chunk floor", partial(chunk_floor, network, settings, rate))
+        chunk |= run("fusion", partial(measure.fusion, network, settings))
+        size = run("scene sizes", partial(measure.against_size, network, settings))
+        count = run("frame counts", partial(measure.against_count, network, settings))
+    found = {
+        "views": most,
+        "rates": rate,
+        "frame": frame,
+        "chunk": chunk,
+        "floor": floor,
+        "size": size,
+        "count": count,
+        "peak memory": {name: memory[name] for name in (*frame, "chunk")},
+    }
+    return {**found, "ratios": ratios(found)}
 
 
 def ratios(found: Mapping[str, Any]) -> dict[str, float]:
     """What can be compared between machines."""
-    frame, most = found["frame"], found["views"]
-    lazy = _fusion(frame[f"lazy {most}"])
+    frame, floor, most = found["frame"], found["floor"], found["views"]
+    lazy = frame[f"lazy {most}"]
+    costs = {"rooms": found["size"], "frames": found["count"]}
     out = {
-        "lazy fusion over its floor": frame[f"lazy {most}"]["total"] / found["floor"]["lazy"]["ms"],
-        "filter, lazy": _fusion(frame[f"lazy {most} without filter"]) / lazy,
-        "frame cost, largest scene over smallest": found["size"][-1]["ms a frame"]
-        / found["size"][0]["ms a frame"],
-        "frame cost, most frames over fewest": found["count"][-1]["ms a frame"]
-        / found["count"][0]["ms a frame"],
+        "lazy frame over its floor": lazy["total"] / floor["lazy"]["total"]["ms"],
+        "chunk over its floor": found["chunk"]["total"] / floor["chunk"]["total"]["ms"],
+        "filter, lazy": _fusion(frame[f"lazy {most} without filter"]) / _fusion(lazy),
     }
-    if "eager" in found["floor"]:
-        whole = frame[f"eager {most}"]["total"]
-        eager = _fusion(frame[f"eager {most}"])
-        out["eager fusion over lazy"] = eager / lazy
-        out["eager frame over lazy"] = whole / frame[f"lazy {most}"]["total"]
-        out["filter, eager"] = _fusion(frame[f"eager {most} without filter"]) / eager
-        out["eager over its floor"] = whole / found["floor"]["eager"]["ms"]
+    for name, cost in costs.items():
+        ratio = cost[-1]["ms a frame"] / cost[0]["ms a frame"]
+        out[f"frame cost, {cost[-1][name]} {name} over {cost[0][name]}"] = ratio
+    if "eager" in floor:
+        eager = frame[f"eager {most}"]
+        out["eager fusion over lazy"] = _fusion(eager) / _fusion(lazy)
+        out["eager frame over lazy"] = eager["total"] / lazy["total"]
+        out["filter, eager"] = _fusion(frame[f"eager {most} without filter"]) / _fusion(eager)
+        out["eager frame over its floor"] = eager["total"] / floor["eager"]["total"]["ms"]
     return out
 
 

@@ -2,8 +2,8 @@
 
 Every voxel in the frustum is fused by the whole transformer at every frame, fine ones where the
 coarse mask says "near-surface", and selection reads the weights of that fusion. One thing the paper
-leaves open is done as in lazy fusion: a coarse voxel that turns out to be near a surface late gets
-its fine voxels' earlier views, too.
+leaves open is done as in lazy fusion, and lazily: a coarse voxel that turns out to be near-surface
+late gets its fine voxels' earlier views, too.
 """
 
 from __future__ import annotations
@@ -29,6 +29,11 @@ class EagerReconstructor(Reconstructor):
         super()._see_coarse(frame, voxels)
         if self.literal:
             self.pipeline.update_coarse(None)
+
+    def _replay(self, coords: Tensor) -> None:
+        literal, self.literal = self.literal, False
+        super()._replay(coords)
+        self.literal = literal
 
     def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
         if not self.literal:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tf_lab.online.blocks import Blocks, dilate
+from tf_lab.online.blocks import Blocks, dilate, offsets
 from tf_lab.online.frames import Frames
 from tf_lab.online.table import Table
 from tf_lab.online.view_store import ViewStore
@@ -62,6 +62,11 @@ class Level:
     def points(self, rows: Tensor) -> Tensor:
         """Voxel centres [P, 3], metres."""
         return (self.blocks.voxels(rows).float() + 0.5) * self.voxel
+
+    def samples(self, rows: Tensor, n: int) -> Tensor:
+        """Centres [P, n^3, 3] (metres) of the n^3 cells of every voxel, x slowest."""
+        inner = ((offsets(n, rows.device) + 0.5) / n - 0.5) * self.voxel
+        return self.points(rows)[:, None] + inner
 
     @property
     def active(self) -> Tensor:
