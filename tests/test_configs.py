@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 
 from tf_lab import configuration
 from tf_lab.commands import conf_dir, plain
@@ -33,6 +34,13 @@ def composed(name: str = "train", *overrides: str) -> dict[str, Any]:
 NEEDED = {"data=captures": "data.root=captures", "data=shards": "data.urls=shards"}
 
 
+@pytest.fixture
+def any_launcher() -> None:
+    """Ray's launcher pins old packages, so that it is not installed with the tests."""
+    ConfigStore.instance().store(group="hydra/launcher", name="ray", node={"_target_": "ray"})
+
+
+@pytest.mark.usefixtures("any_launcher")
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_composes_and_is_accepted(option: str) -> None:
     config = composed("train", option, *(NEEDED[o] for o in [option] if o in NEEDED))
@@ -47,6 +55,8 @@ def test_the_groups_of_the_contract_exist() -> None:
         *("fusion=transformer", "fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
         *("model=tiny", "model=small", "model=paper", "select=attn", "select=rnd"),
         *("logger=csv", "logger=tensorboard", "logger=wandb", "logger=wandb_offline"),
+        *("launcher=local", "launcher=slurm", "launcher=ray"),
+        *("sweep=main_ablation", "sweep=inputs", "sweep=views", "sweep=all"),
     ):
         assert option in OPTIONS
 

@@ -26,6 +26,25 @@ def save_network(network: Network, path: Path, info: dict[str, Any]) -> None:
         save_file(state, temporary, metadata)
 
 
+def read_info(path: Path) -> dict[str, Any]:
+    """The provenance of a checkpoint, without its weights.
+
+    Raises:
+        TFLabError: the file is not a checkpoint.
+    """
+    return json.loads(_metadata(path).get("info", "{}"))
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    try:
+        with safe_open(path, framework="np") as file:
+            return file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise TFLabError(
+            f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
+        ) from error
+
+
 def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
 
@@ -34,21 +53,14 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """
     if not path.is_file():
         raise TFLabError(f"{path}: no such checkpoint; train one with `python -m tf_lab.train`")
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-        state = load_file(path)
-    except (SafetensorError, OSError) as error:
-        raise TFLabError(
-            f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
-        ) from error
+    metadata = _metadata(path)
     if "config" not in metadata:
         raise TFLabError(
             f"{path}: no network configuration inside; it is not a checkpoint of tf_lab"
         )
     try:
         network = Network(NetworkConfig(**json.loads(metadata["config"])))
-        network.load_state_dict(state)
+        network.load_state_dict(load_file(path))
         info = json.loads(metadata.get("info", "{}"))
     except (TFLabError, TypeError, KeyError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 160)

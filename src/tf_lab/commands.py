@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import logging
 import os
-import platform
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable
@@ -20,7 +17,6 @@ from hydra.errors import CompactHydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from tf_lab import __version__
 from tf_lab.errors import TFLabError
 
 
@@ -37,10 +33,13 @@ def conf_dir() -> str:
     raise TFLabError("conf/: the configs are missing; install tf_lab again")
 
 
-def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
+def command(
+    config_name: str, before: Callable[[], None] = lambda: None
+) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
     """`hydra.main` on the shipped configs, with tf_lab's errors as one line and exit status 2.
 
-    A traceback is printed as well if the environment has ``TF_LAB_DEBUG=1``.
+    ``before`` checks what Hydra would not say in one line. A traceback is printed as well if the
+    environment has ``TF_LAB_DEBUG=1``.
     """
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
@@ -53,7 +52,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                 if os.environ.get("TF_LAB_DEBUG") == "1":
                     raise
                 print(f"error: {_one_line(error, function)}", file=sys.stderr)
-                if _in_sweep():
+                if in_sweep():
                     raise FailedJob("error: a job of the sweep failed, see above") from None
                 sys.exit(2)
             except KeyboardInterrupt:
@@ -61,7 +60,16 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                 sys.exit(130)
 
         wrapped = hydra.main(version_base="1.3", config_path=conf_dir(), config_name=config_name)
-        return wrapped(guarded)
+
+        def run() -> None:
+            try:
+                before()
+            except TFLabError as error:
+                print(f"error: {error}", file=sys.stderr)
+                sys.exit(2)
+            wrapped(guarded)()
+
+        return run
 
     return decorate
 
@@ -90,7 +98,7 @@ def _quieten() -> None:
         warnings.filterwarnings("ignore", message=message)
 
 
-def _in_sweep() -> bool:
+def in_sweep() -> bool:
     """Whether this is one job of several: then an error must not end the others."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
@@ -121,45 +129,3 @@ def device_of(name: str) -> torch.device:
         return torch.device(name)
     except RuntimeError:
         raise TFLabError(f"device={name}: choose auto, cpu or cuda") from None
-
-
-def provenance() -> dict[str, Any]:
-    """Commit, versions, machine and command line: what is needed to repeat a run."""
-    packages = ["torch", "lightning", "hydra-core", "numpy", "scipy", "scikit-image", "trimesh"]
-    return {
-        "tf_lab": __version__,
-        "commit": _commit(),
-        "command": " ".join(["python -m tf_lab." + Path(sys.argv[0]).stem, *sys.argv[1:]]),
-        "python": platform.python_version(),
-        "packages": {name: importlib.metadata.version(name) for name in packages},
-        "machine": {
-            "system": platform.platform(),
-            "cpus": os.cpu_count(),
-            "processor": _processor(),
-        },
-    }
-
-
-def _commit() -> str:
-    """The checkout's commit, "-dirty" if it has changes; "unknown" outside a checkout."""
-    here = Path(__file__).resolve().parent
-    try:
-        commit = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-            cwd=here,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return commit.stdout.strip()
-
-
-def _processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()

@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from tf_lab.configuration import chunk_settings
+from tf_lab.data import groundtruth, rooms
 from tf_lab.data.captures import ImportSettings, find_captures, names_of, prepare_captures
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import ChunkSource
@@ -67,15 +70,21 @@ def training_sampler(config: Config) -> ChunkSampler:
 
 
 def identified(config: Config) -> Config:
-    """A config that says what is in the shards it trains on: a run's identity, unlike their place.
+    """A config that says what shapes a run beside the settings: versions, shards, devices.
 
     Raises:
         TFLabError: the shards cannot be opened.
     """
-    data = config["data"]
-    if not data.get("urls"):
-        return config
-    return {**config, "data": {**data, "identity": open_shards(data["urls"]).identity}}
+    data, trainer = dict(config["data"]), dict(config["trainer"])
+    data["version"] = {"groundtruth": groundtruth.VERSION}
+    if data["name"] == "rooms":
+        data["version"]["rooms"] = rooms.VERSION
+    if data.get("urls"):
+        data["identity"] = open_shards(data["urls"]).identity
+    if trainer["devices"] in ("auto", -1, "-1"):
+        gpus = torch.cuda.device_count() if trainer["accelerator"] != "cpu" else 0
+        trainer["devices"] = max(1, gpus)
+    return {**config, "data": data, "trainer": trainer}
 
 
 def _prepare_captures(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path]]:

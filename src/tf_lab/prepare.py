@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
-from tf_lab.commands import command, plain, provenance
+from tf_lab.commands import command, plain
 from tf_lab.data.captures import prepare_captures, summarise
 from tf_lab.data.scene import Scene
 from tf_lab.data.shards import write_shards
@@ -27,6 +27,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.meshes import read_mesh
 from tf_lab.pictures import compare
 from tf_lab.progress import progress_bar
+from tf_lab.provenance import provenance
 
 
 @command("prepare")

@@ -19,12 +19,13 @@ from safetensors.torch import save_file
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from tf_lab.commands import command, plain, provenance
+from tf_lab.commands import command, plain
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
 from tf_lab.datasets import prepare_data
 from tf_lab.files import atomic_path
 from tf_lab.network.encoder import Encoder, normalise_images
 from tf_lab.network.matching import matching_loss
+from tf_lab.provenance import provenance
 from tf_lab.study.runs import portable
 from tf_lab.training import TrainingProgress
 

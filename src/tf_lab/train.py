@@ -8,61 +8,81 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import lightning as L
 import torch
 import yaml
-from filelock import FileLock
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.checkpoint import load_network, save_network
-from tf_lab.commands import command, device_of, plain, provenance
+from tf_lab.commands import command, device_of, in_sweep, plain
 from tf_lab.configuration import make_network, optimizer_settings, ready, test_settings
 from tf_lab.data.datamodule import SceneDataModule
 from tf_lab.datasets import identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
-from tf_lab.files import atomic_path, remove_abandoned, write_json
+from tf_lab.files import atomic_path, held, remove_abandoned, write_json
+from tf_lab.jobs import check_launcher, end_with_parent, run_job
 from tf_lab.pictures import loss_curve
+from tf_lab.provenance import provenance
+from tf_lab.study.reuse import say_reused
 from tf_lab.study.runs import portable, row_label, run_directory, training_directory
 from tf_lab.testing import read_metrics, test_network
-from tf_lab.training import Training, TrainingProgress
+from tf_lab.training import Sittings, Training, TrainingProgress
 
 log = logging.getLogger(__name__)
 Config = Mapping[str, Any]
 
 
-@command("train")
+@command("train", before=check_launcher)
 def main(cfg: DictConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
+    end_with_parent()
+    if in_sweep():
+        run_job("tf_lab.train", row_label(cfg), cfg.seed, partial(_finished, cfg))
+        return
     config = identified(plain(cfg))
     start = time.time()
-    checkpoint = train(config)
-    if _is_helper():
-        return  # the first process of a distributed training does the rest
-    run = evaluate_training(config, checkpoint)
+    run = run_directory(config)
+    if read_metrics(run) is not None:
+        say_reused("evaluation", run)
+    else:
+        checkpoint = train(config)
+        if _is_helper():
+            return  # the first process of a distributed training does the rest
+        evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
     label = row_label(config)
     print(format_table([*metrics["scenes"].items(), (label, metrics["mean"])]))
-    print(f"training: {checkpoint.parent}\nrun:      {run}")
+    print(f"training: {training_directory(config)}\nrun:      {run}")
     print(f"pictures: {run / 'pictures'}   ({(time.time() - start) / 60:.1f} minutes in all)")
+
+
+def _finished(cfg: DictConfig) -> Path | None:
+    """The run directory of a sweep's job, if its evaluation is finished."""
+    try:
+        run = run_directory(identified(plain(cfg)))
+        return run if read_metrics(run) is not None else None
+    except (TFLabError, OmegaConfBaseException):
+        return None  # the job's own process says what is wrong
 
 
 def evaluate_training(config: Config, checkpoint: Path) -> Path:
     """The run directory of the config's evaluation: found, or made now."""
     run = run_directory(config)
-    run.mkdir(parents=True, exist_ok=True)
-    with FileLock(run / ".lock"):
+    with held(run, "evaluates"):
         if read_metrics(run) is not None:
-            print(f"reusing the identical finished evaluation {run}")
+            say_reused("evaluation", run)
             return run
         network, info = load_network(checkpoint)
         scenes = prepare_data(config, ("test",))["test"]
@@ -81,15 +101,14 @@ def evaluate_training(config: Config, checkpoint: Path) -> Path:
 def train(config: Config) -> Path:
     """The checkpoint of the config's training: found, resumed or trained from the start."""
     directory = training_directory(config)
-    directory.mkdir(parents=True, exist_ok=True)
     checkpoint = directory / "model.safetensors"
     if _is_helper():  # the first process holds the lock for all
         if not checkpoint.exists():
             _fit(config, directory, checkpoint)
         return checkpoint
-    with FileLock(directory / ".lock"):
+    with held(directory, "trains"):
         if checkpoint.exists():
-            print(f"reusing the identical finished training {directory}")
+            say_reused("training", directory)
             return checkpoint
         remove_abandoned(directory)  # by a training that was killed while it saved
         write_config(directory, config)
@@ -111,18 +130,17 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     optimizer = optimizer_settings(config)
     module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
     data = SceneDataModule(train, val, config["seed"], config["trainer"]["workers"])
-    trainer = _trainer(config, directory)
+    sittings = Sittings()
+    trainer = _trainer(config, directory, sittings)
     last = directory / "last.ckpt"
     if last.exists():
         _check(last)
         print(f"resuming {last}")
-    start, origin = time.time(), provenance()  # of the code that trains, not of what HEAD becomes
     trainer.fit(module, data, ckpt_path=str(last) if last.exists() else None, weights_only=True)
     if trainer.global_step < optimizer.steps:
         raise KeyboardInterrupt  # Lightning turns the signal into a silent end
     if trainer.is_global_zero:
-        seconds = round(time.time() - start, 1)
-        info = {"training": {**origin, "config": portable(config), "seconds": seconds}}
+        info = {"training": {**sittings.summary(), "config": portable(config)}}
         logs = sorted(directory.glob("logs/version_*/metrics.csv"))
         if logs:
             loss_curve(logs, directory / "loss.png")
@@ -155,7 +173,7 @@ def _check(last: Path) -> None:
         ) from error
 
 
-def _trainer(config: Config, directory: Path) -> L.Trainer:
+def _trainer(config: Config, directory: Path, sittings: Sittings) -> L.Trainer:
     arguments = {k: v for k, v in config["trainer"].items() if k not in ("compile", "workers")}
     t = config["training"]
     steps = config["optimizer"]["steps"]
@@ -176,7 +194,7 @@ def _trainer(config: Config, directory: Path) -> L.Trainer:
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             gradient_clip_val=config["optimizer"]["clip"] or None,
-            callbacks=[saving, TrainingProgress()],
+            callbacks=[saving, sittings, TrainingProgress()],
             plugins=[AtomicSaves()],
             logger=make_logger(config, directory),
             log_every_n_steps=5,

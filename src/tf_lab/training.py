@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,9 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
 from tf_lab.progress import progress_bar
+from tf_lab.provenance import provenance
 from tf_lab.scoring import TestSettings, reconstruct
+from tf_lab.study.reuse import commits_of
 
 
 @dataclass(frozen=True)
@@ -182,3 +185,30 @@ class TrainingProgress(Callback):
     ) -> None:
         """Give the terminal back."""
         self._stop()
+
+
+class Sittings(Callback):
+    """How long a training took and which code did it, over all the times it was resumed."""
+
+    def __init__(self) -> None:
+        self.origin = provenance()  # of the code that trains, not of what HEAD becomes
+        self.start = time.time()
+        self.earlier: list[dict[str, Any]] = []
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        seconds = round(time.time() - self.start, 1)
+        this = {"commit": self.origin["commit"], "code": self.origin["code"], "seconds": seconds}
+        return {"sittings": [*self.earlier, this]}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on; say so if another code began."""
+        self.earlier = state_dict["sittings"]
+        if any(past["code"] != self.origin["code"] for past in self.earlier):
+            print(f"note: another code began this training (commit {commits_of(self.earlier)})")
+
+    def summary(self) -> dict[str, Any]:
+        """The provenance of the training."""
+        sittings = self.state_dict()["sittings"]
+        seconds = round(sum(sitting["seconds"] for sitting in sittings), 1)
+        return {**self.origin, "seconds": seconds, "sittings": sittings}

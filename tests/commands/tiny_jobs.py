@@ -19,6 +19,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from tf_lab.commands import conf_dir, plain
+from tf_lab.datasets import identified
 
 # A network and rooms so small that a training takes a second.
 TINY = (
@@ -90,4 +91,4 @@ def start(command: str, *arguments: str, cwd: Path, **variables: str) -> Result:
 def tiny_config(*overrides: str) -> dict[str, Any]:
     """The resolved config of the train command on the tiny rooms."""
     with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return plain(compose("train", overrides=[*TINY, *overrides]))
+        return identified(plain(compose("train", overrides=[*TINY, *overrides])))

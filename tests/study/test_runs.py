@@ -28,7 +28,7 @@ NEITHER = (
     *("data.root", "data.workers", "data.val_size", "logger.kind", "output"),
     *("trainer.workers", "trainer.accelerator", "trainer.compile"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
-    *("trainer.devices", "trainer.strategy", "training.validate_every", "training.save_every"),
+    *("trainer.strategy", "training.validate_every", "training.save_every"),
 )
 
 
@@ -64,6 +64,23 @@ def changed(name: str) -> dict[str, Any]:
     else:
         part[last] = f"{value}0" if isinstance(value, str) else (value or 0) + 1
     return config
+
+
+# the rows of the paper's tables, by the names they have on the command line
+ROWS = {
+    "ours": "",
+    "avg": "fusion=avg",
+    "pred": "fusion=pred",
+    "no_refine": "refine=false",
+    "no_filter": "filter=false",
+    "no_depth": "inputs=no_depth",
+    "no_ray": "inputs=no_ray",
+    "views4_rnd": "views=4 select=rnd",
+    "views4": "views=4",
+    "views8_rnd": "views=8 select=rnd",
+    "views8": "views=8",
+    "views16_rnd": "views=16 select=rnd",
+}
 
 
 def keys(config: dict[str, Any]) -> tuple[str, str]:
@@ -104,8 +121,18 @@ def test_options_change_the_keys_as_their_settings_do() -> None:
     for option in ("fusion=avg", "inputs=no_depth", "model=small", "seed=1", "refine=false"):
         assert keys(composed(option))[0] != keys(DEFAULT)[0], option
     assert keys(composed("views=4", "select=rnd"))[0] == keys(DEFAULT)[0]
-    for option in ("logger=wandb_offline", "trainer=ddp", "data.root=elsewhere"):
+    for option in ("logger=wandb_offline", "trainer.strategy=ddp", "data.root=elsewhere"):
         assert keys(composed(option)) == keys(DEFAULT), option
+
+
+def test_whatever_changes_the_batch_makes_a_new_training() -> None:
+    for option in ("trainer.devices=2", "+trainer.accumulate_grad_batches=2"):
+        assert keys(composed(option))[0] != keys(DEFAULT)[0], option
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_row_is_its_settings_whatever_it_is_called(row: str) -> None:
+    assert run_directory(composed(f"row={row}")) == run_directory(composed(*ROWS[row].split()))
 
 
 def test_shards_are_known_by_what_is_in_them() -> None:

@@ -24,6 +24,8 @@ TRAINING_KEYS = (
     "augment",
     "sdf_weight",
 )
+# of the trainer: how it computes; the rest, such as the number of devices, shapes the weights
+TRAINER_MEANS = ("accelerator", "strategy", "compile", "workers")
 # of the data group: where it lies and how it is made, which shapes nothing
 DATA_PLACES = ("root", "scenes", "urls", "workers", "memory")
 DATA_AT_TEST = ("test", "test_size", "test_frames")
@@ -37,7 +39,7 @@ def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     identity["training"] = {key: config["training"][key] for key in TRAINING_KEYS}
     apart = {*DATA_PLACES, *DATA_AT_TEST, *DATA_AT_VALIDATION}
     identity["data"] = {k: v for k, v in config["data"].items() if k not in apart}
-    identity["precision"] = config["trainer"]["precision"]
+    identity["trainer"] = {k: v for k, v in config["trainer"].items() if k not in TRAINER_MEANS}
     return identity
 
 
