@@ -87,8 +87,9 @@ def _one_line(error: Exception, function: Callable[[DictConfig], None]) -> str:
 
 
 def _quieten() -> None:
-    """Keep Lightning's advertisements and its remarks on our own choices off the screen."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    """Keep libraries' advertisements and their remarks on our own choices off the screen."""
+    for chatty in ("lightning.pytorch", "fontTools"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
     for message in (
         ".*isinstance.treespec, LeafSpec.*",
         ".*Checkpoint directory .* exists and is not empty.*",

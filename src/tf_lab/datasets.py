@@ -15,7 +15,7 @@ from tf_lab.data.captures import ImportSettings, find_captures, names_of, prepar
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import ChunkSource
 from tf_lab.data.rooms import RoomSettings
-from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
+from tf_lab.data.rooms.dataset import FIRST_SEED, RoomSplit, prepare_rooms, room_directory
 from tf_lab.data.scannet_splits import find_scene, split_scenes
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardSource
@@ -46,6 +46,16 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
         s: RoomSplit(size[s], RoomSettings(d["width"], d["height"], frames[s])) for s in splits
     }
     return prepare_rooms(Path(d["root"]).expanduser(), wanted, d["workers"])
+
+
+def scene_directory(config: Config, name: str) -> Path:
+    """Where a test scene of a resolved config lies, if it has been made on this machine."""
+    d = config["data"]
+    if d["name"] != "rooms":
+        return scenes_root(config) / scene_settings(config).key / name
+    index = int(name.removeprefix("room_")) - FIRST_SEED["test"]
+    settings = RoomSettings(d["width"], d["height"], d["test_frames"])
+    return room_directory(Path(d["root"]).expanduser(), "test", index, settings)
 
 
 def training_chunks(config: Config) -> ChunkSource:

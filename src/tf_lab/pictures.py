@@ -65,7 +65,7 @@ def compare(
         panels.append(("Ground truth", render_mesh(groundtruth, K, world_T_cam, size, ceiling)))
         panels.append(("Distance to ground truth", shade(seen, colors)))
     heading = title if fscore is None else f"{title}    F-score {fscore:.3f}"
-    _write(_compare_figure(frames, panels, heading), path)
+    write_figure(_compare_figure(frames, panels, heading), path)
 
 
 def _compare_figure(
@@ -140,7 +140,7 @@ def loss_curve(csv_paths: Sequence[Path], path: Path) -> None:
     for ax in axes:
         ax.grid(alpha=0.25)
         ax.spines[["top", "right"]].set_visible(False)
-    _write(figure, path)
+    write_figure(figure, path)
 
 
 def _series(rows: list[dict[str, str]], key: str) -> np.ndarray:
@@ -173,7 +173,8 @@ def _draw_losses(axes: Axes, losses: dict[str, np.ndarray]) -> None:
     axes.legend(frameon=False)
 
 
-def _write(figure: Figure, path: Path) -> None:
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG on white, whole or not at all."""
     FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", facecolor="white")

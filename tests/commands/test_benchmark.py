@@ -10,12 +10,12 @@ import pytest
 import torch
 from tiny_jobs import call
 
-from tf_lab.benchmarks import paper
 from tf_lab.benchmarks.floor import frame_floor
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.meter import Meter
 from tf_lab.benchmarks.rooms import CORNER, SIZE, Rooms, walk
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.study import paper
 
 SMALL = (
     "model=tiny",

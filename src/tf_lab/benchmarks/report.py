@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tf_lab.benchmarks import paper
 from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES
+from tf_lab.study import paper
 
 MIB = 2**20
 Rows = Sequence[Sequence[str]]

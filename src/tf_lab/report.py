@@ -1,0 +1,62 @@
+"""All finished runs as the paper's tables and charts, beside the paper's numbers.
+
+python -m tf_lab.report [runs=DIR] [output=DIR]
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import trimesh
+from omegaconf import DictConfig
+
+from tf_lab.commands import command, plain
+from tf_lab.datasets import scene_directory
+from tf_lab.meshes import read_mesh
+from tf_lab.progress import progress_bar
+from tf_lab.study.formats import markdown
+from tf_lab.study.gallery import draw_scene, scene_runs
+from tf_lab.study.orderings import summary
+from tf_lab.study.report import describe, write_report
+from tf_lab.study.results import Run, keep_run
+from tf_lab.study.studies import Study, open_study
+from tf_lab.study.tables import short_table
+
+
+@command("report")
+def main(cfg: DictConfig) -> None:
+    """Read the runs; print the main table; write tables, orderings, charts and pictures."""
+    config = plain(cfg)
+    folders = [config["runs"]] if isinstance(config["runs"], str) else config["runs"]
+    key = None if config["study"] is None else str(config["study"])
+    study, remarks = open_study(folders, key)
+    output = Path(config["output"])
+    if config["keep"]:
+        for run in study.runs.values():
+            keep_run(run, output / "runs")
+    write_report(study, remarks, output)
+    pictures = draw_pictures(study, output / "pictures") if config["pictures"] else 0
+    print(describe(study), *remarks, markdown(short_table(study)), summary(study), sep="\n\n")
+    print(f"\n{output}: tables.md, orderings.md, charts, and {pictures} pictures of test scenes")
+
+
+def draw_pictures(study: Study, folder: Path) -> int:
+    """Draw the test scenes of which there are meshes; of the others what is there stays."""
+    shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
+    with progress_bar() as bar:
+        for scene, runs in bar.track(shown.items(), description="drawing"):
+            truth = groundtruth_mesh(next(iter(runs.values())), scene)
+            draw_scene(runs, scene, truth, folder / f"{scene}.png")
+    return len(shown)
+
+
+def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
+    """The ground truth of a run's test scene, if it is on this machine."""
+    if "root" not in run.config["data"]:  # a kept copy
+        return None
+    path = scene_directory(run.config, scene) / "groundtruth" / "mesh_gt.ply"
+    return read_mesh(path) if path.exists() else None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""`python -m tf_lab.report` as a user runs it, on made-up runs and on a real one."""
+
+import csv
+import functools
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from PIL import Image
+from tiny_jobs import Result, call
+
+from made_up_runs import ROWS, write_run, write_study
+from tf_lab.study import gallery
+from tf_lab.study.paper import SCORES
+
+FILES = {
+    *("tables.md", "orderings.md", "runs.csv"),
+    *(f"{n}.csv" for n in ("main", "inputs", "comparison", "orderings", "seeds", "scenes")),
+    *(f"table_{n}.tex" for n in ("main", "inputs", "comparison", "orderings", "seeds", "scenes")),
+    *(f"chart_{name}.{kind}" for name in ("views", "rows") for kind in ("png", "pdf")),
+}
+
+
+def test_a_whole_study(tmp_path: Path) -> None:
+    write_study(tmp_path / "outputs", {row: SCORES[row]["fscore"] for row in ROWS})
+    done = call("report")  # by default of outputs/runs
+    assert (done.status, done.err) == (0, "")
+    assert {path.name for path in (tmp_path / "outputs" / "report").iterdir()} == FILES
+    lines = [line.split("|") for line in done.out.splitlines() if line.startswith("| Ours")]
+    assert [line[1].strip() for line in lines] == [*ROWS]
+    assert lines[-1][7].strip().startswith("**0.655** ± ")
+    assert "each row under ours: 11 of 11 hold in the mean" in done.out
+
+
+def test_a_part_of_a_study(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 0, [0.5, 0.6])
+    bad = write_run(tmp_path, "", 1, [0.5, 0.6])
+    (bad / "metrics.json").write_text("{")
+    done = call("report", f"runs={tmp_path}/runs", f"output={tmp_path}/report")
+    assert (done.status, done.err) == (0, "")
+    assert "Missing: Ours: w/o TRSF, avg; " in done.out
+    assert f"left out: {bad}/metrics.json: damaged" in done.out
+    assert {path.name for path in (tmp_path / "report").iterdir()} == FILES
+    with (tmp_path / "report" / "main.csv").open() as file:
+        rows = {row["row"]: row for row in csv.DictReader(file)}
+    assert float(rows["Ours"]["fscore"]) == pytest.approx(0.55)
+    assert rows["Ours: 4 images"]["fscore"] == ""
+    assert "fscore_deviation" not in rows["Ours"]
+    assert f"left out: {bad}" in (tmp_path / "report" / "tables.md").read_text()
+
+
+def test_no_runs(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    done = call("report", f"runs={tmp_path}/runs")
+    assert done.status == 2
+    assert done.err.startswith(f"error: no finished run in {tmp_path}/runs; run: python -m tf_lab.")
+    assert len(done.err.splitlines()) == 1
+    assert "no such folder" in call("report").err  # outputs/runs
+
+
+def test_several_folders_and_the_study_asked_for(tmp_path: Path) -> None:
+    for folder, steps in (("a", 7), ("b", 7), ("c", 8)):
+        write_run(tmp_path / folder, f"optimizer.steps={steps}", ord(folder), [0.5])
+    runs = f"runs=[{tmp_path}/a,{tmp_path}/b,{tmp_path}/c]"
+    done = call("report", runs, "pictures=false")
+    assert "2 runs of 1 rows, seeds 97, 98;" in done.out
+    (line,) = (line for line in done.out.splitlines() if line.startswith("left out: study"))
+    assert "optimizer.steps 8 (not 7)" in line
+    key = line.split()[3].rstrip(",")
+    assert "1 runs of 1 rows, seeds 99;" in call("report", runs, f"study={key}").out
+
+
+def test_kept_results_give_the_same_report(tmp_path: Path) -> None:
+    write_study(tmp_path / "outputs", {"Ours": 0.6, "Ours: 4 images": 0.5})
+    other = write_run(tmp_path / "outputs", "optimizer.steps=7", 0, [0.5])
+    kept = tmp_path / "results" / "reference"
+    assert call("report", f"output={kept}", "keep=true").status == 0
+    assert len([*(kept / "runs").iterdir()]) == 6
+    assert not (kept / "runs" / other.name).exists()
+    for path in kept.rglob("*.*"):
+        assert str(tmp_path).encode() not in path.read_bytes(), path
+    first = {name: (kept / name).read_bytes() for name in FILES - {"tables.md"}}
+    shutil.rmtree(tmp_path / "outputs")
+    (kept / "pictures").mkdir()
+    (kept / "pictures" / "room.png").write_bytes(b"drawn before")
+    assert call("report", f"runs={kept}/runs", f"output={kept}").status == 0
+    assert {name: (kept / name).read_bytes() for name in first} == first
+    assert (kept / "pictures" / "room.png").read_bytes() == b"drawn before"
+    assert "left out" not in (kept / "tables.md").read_text()
+
+
+def test_a_real_run(
+    main_job: Result, outputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the train command leaves is read, and its room is drawn beside its ground truth."""
+    run = outputs.parent / main_job.path("run")
+    shutil.copytree(run, tmp_path / "outputs" / "runs" / run.name)
+    small = functools.partial(gallery.draw_scene, size=(96, 72))
+    monkeypatch.setattr("tf_lab.report.draw_scene", small)
+    done = call("report", "keep=true")
+    assert done.status == 0, done.err
+    metrics = json.loads((run / "metrics.json").read_text())
+    (line,) = (line for line in done.out.splitlines() if line.startswith("| Ours"))
+    assert line.split("|")[7].strip() == f"{metrics['mean']['fscore']:.3f}"
+    report = tmp_path / "outputs" / "report"
+    with Image.open(report / "pictures" / "room_2000000.png") as picture:
+        assert picture.width > 900  # two panels: ground truth and ours
+    kept = report / "runs" / run.name
+    assert "root" not in yaml.safe_load((kept / "config.yaml").read_text())["data"]
+    assert str(outputs) not in (kept / "run.json").read_text()
