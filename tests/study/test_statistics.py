@@ -36,8 +36,6 @@ def test_many_values_are_scipys_bootstrap() -> None:
     [
         ((1.0, 0.0, 0.0), 3, 4),  # of seeds only: one network is better everywhere
         ((0.0, 1.0, 0.0), 3, 4),
-        ((0.0, 0.0, 1.0), 3, 4),
-        ((0.5, 1.0, 1.0), 3, 4),
         ((0.5, 1.0, 1.0), 3, 16),
     ],
 )
@@ -49,7 +47,7 @@ def test_coverage(spread: tuple[float, float, float], seeds: int, scenes: int) -
         of_seed = rng.normal(0, spread[0], (seeds, 1))
         of_scene = rng.normal(0, spread[1], (1, scenes))
         values = 1 + of_seed + of_scene + rng.normal(0, spread[2], (seeds, scenes))
-        found = estimate(values, samples=1000)
+        found = estimate(values, samples=500)
         assert found.low is not None and found.high is not None
         inside += found.low <= 1 <= found.high
     assert inside / trials > 0.93

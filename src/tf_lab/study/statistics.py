@@ -38,8 +38,10 @@ def estimate(
     independently of each other (the pigeonhole bootstrap of Owen, 2007), and the interval speaks
     of new seeds on new scenes. A bootstrap of n values is still too narrow by sqrt((n - 1) / n) and
     by the normal quantile in place of Student's (Hesterberg, 2015), which at three seeds matters
-    most; the drawn effects of seeds and of scenes are widened by just that. With one seed the
-    interval speaks of scenes only, with one scene of seeds only.
+    most; the drawn effects of seeds and of scenes are widened by just that. So a 95 % interval of
+    three seeds covers the truth 94 to 99 times in a hundred, whichever effect is the largest, where
+    a plain one may do so only 75 times (by simulation, see the tests). With one seed the interval
+    speaks of scenes only, with one scene of seeds only.
 
     The p-value is one minus the confidence at which the interval touches zero, so that the two
     never disagree. (Permuting signs could not tell anything: three seeds have eight patterns.)
