@@ -16,7 +16,7 @@ def test_a_run(tmp_path: Path) -> None:
     run = read_run(folder)
     assert (run.row, run.seed, run.directory) == ("Ours: w/o TRSF, avg", 2, folder)
     assert run.scenes == {s: scores(f) for s, f in zip(SCENES, (0.5, 0.6, 0.7, 0.8), strict=True)}
-    assert run.commits == ("abcdef0123", "abcdef0123")
+    assert [maker["commit"] for maker in run.makers] == ["abcdef0123456789"] * 2
     assert run.finished == 1e9
 
 
@@ -88,7 +88,9 @@ def test_damaged_runs_are_named_and_left_out(
 
 
 def test_no_run_at_all(tmp_path: Path) -> None:
-    with pytest.raises(TFLabError, match=r"no finished run in .*; run: python -m tf_lab\.train -m"):
+    with pytest.raises(
+        TFLabError, match=r"no finished run in .*; run: python -m tf_lab\.train sweep="
+    ):
         find_runs([tmp_path])
     with pytest.raises(TFLabError, match="no such folder"):
         find_runs([tmp_path / "absent"])
@@ -109,9 +111,10 @@ def test_kept_copies_say_the_same_and_hold_no_place(tmp_path: Path) -> None:
     for path in kept.iterdir():
         assert str(tmp_path) not in path.read_text()
     copy = read_run(kept)
-    assert (copy.row, copy.seed, copy.settings, copy.scenes, copy.commits) == (
-        *(run.row, run.seed, run.settings, run.scenes, run.commits),
+    assert (copy.row, copy.seed, copy.settings, copy.scenes) == (
+        *(run.row, run.seed, run.settings, run.scenes),
     )
+    assert [maker["commit"] for maker in copy.makers] == [maker["commit"] for maker in run.makers]
     origin = json.loads((kept / "run.json").read_text())
     assert origin["checkpoint"] == "trainings/tiny-seed0-abc/model.safetensors"
     assert origin["command"] == "python -m tf_lab.train select=rnd"

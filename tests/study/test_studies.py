@@ -1,5 +1,6 @@
 """Only runs that may be compared share a study."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,17 @@ def test_a_copy_is_no_duplicate(tmp_path: Path) -> None:
     assert (len(study.runs), remarks) == (1, [])
 
 
-def test_several_commits_are_said(tmp_path: Path) -> None:
+def test_several_versions_of_the_code_are_said(tmp_path: Path) -> None:
     write_run(tmp_path, "", 0, [0.9], commit="aaaa")
     write_run(tmp_path, "", 1, [0.9], commit="bbbb-dirty")
     _, (line,) = open_study([tmp_path])
-    assert "several commits: aaaa (1), bbbb-dirty (1)" in line
+    assert "not all runs were made by the same code: commits aaaa and bbbb-dirty" in line
+
+
+def test_commits_that_change_no_code_do_not_matter(tmp_path: Path) -> None:
+    for seed, commit in enumerate(("aaaa", "bbbb")):
+        run = write_run(tmp_path, "", seed, [0.9], commit=commit)
+        origin = json.loads((run / "run.json").read_text())
+        origin["code"] = origin["training"]["code"] = "the same"
+        (run / "run.json").write_text(json.dumps(origin))
+    assert open_study([tmp_path])[1] == []

@@ -15,6 +15,7 @@ import yaml
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.metrics import KEYS, Metrics
 from tf_lab.files import atomic_path, write_json
+from tf_lab.study.reuse import Origin, removal
 from tf_lab.study.runs import evaluation_identity, portable, row_label, training_identity
 
 # What makes a run another row, or another repetition of one, of the same study.
@@ -32,7 +33,7 @@ class Run:
         config: resolved.
         settings: what has to be equal for runs to be comparable, by dotted name.
         scenes: metrics by test scene.
-        commits: of the code that trained and of the code that evaluated, shortened.
+        makers: provenances of the evaluation, of the training, and of each sitting of it.
         finished: when its ``metrics.json`` was written, seconds since 1970.
     """
 
@@ -42,7 +43,7 @@ class Run:
     config: dict[str, Any]
     settings: dict[str, Any]
     scenes: dict[str, Metrics]
-    commits: tuple[str, str]
+    makers: tuple[Origin, ...]
     finished: float
 
 
@@ -68,7 +69,7 @@ def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
     return runs, damaged
 
 
-_HINT = "run: python -m tf_lab.train -m +sweeps=main_ablation"
+_HINT = "run: python -m tf_lab.train sweep=main_ablation"
 
 
 def read_run(directory: Path) -> Run:
@@ -89,6 +90,7 @@ def read_run(directory: Path) -> Run:
         ) from error
     settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
     settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
+    training = origin.get("training", {})
     scenes = _scenes(metrics, directory / "metrics.json")
     settings["test"]["protocol"] = metrics.get("protocol")
     settings["test"]["scenes"] = sorted(scenes)
@@ -99,7 +101,7 @@ def read_run(directory: Path) -> Run:
         config,
         _flat(settings),
         scenes,
-        (_commit(origin.get("training", {})), _commit(origin)),
+        (origin, training, *training.get("sittings", [])),
         (directory / "metrics.json").stat().st_mtime,
     )
 
@@ -110,9 +112,9 @@ def _read(path: Path, parse: Callable[[str], Any]) -> dict[str, Any]:
     except OSError as error:
         raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
     except (ValueError, yaml.YAMLError) as error:
-        raise TFLabError(f"{path}: damaged ({type(error).__name__}); delete the run") from error
+        raise TFLabError(f"{path}: damaged ({type(error).__name__}); {_anew(path)}") from error
     if not isinstance(found, dict):
-        raise TFLabError(f"{path}: damaged (not a mapping); delete the run")
+        raise TFLabError(f"{path}: damaged (not a mapping); {_anew(path)}")
     return found
 
 
@@ -123,11 +125,15 @@ def _scenes(metrics: Mapping[str, Any], path: Path) -> dict[str, Metrics]:
             for name, scores in metrics["scenes"].items()
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise TFLabError(f"{path}: damaged (scenes: {error}); delete the run") from error
+        raise TFLabError(f"{path}: damaged (scenes: {error}); {_anew(path)}") from error
     values = [value for scores in scenes.values() for value in scores.values()]
     if not values or not all(map(math.isfinite, values)):
-        raise TFLabError(f"{path}: damaged (no scene, or a score is no number); delete the run")
+        raise TFLabError(f"{path}: damaged (no scene, or a score is no number); {_anew(path)}")
     return scenes
+
+
+def _anew(path: Path) -> str:
+    return f"to make it anew: {removal(path.parent)}"
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -139,11 +145,6 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{key}"] = value
     return flat
-
-
-def _commit(origin: Mapping[str, Any]) -> str:
-    commit, _, dirty = str(origin.get("commit", "unknown")).partition("-")
-    return commit[:10] + (f"-{dirty}" if dirty else "")
 
 
 def keep_run(run: Run, folder: Path) -> Path:
@@ -167,6 +168,8 @@ def _without_places(value: Any, key: str = "") -> Any:
     """What a JSON file holds without absolute paths: a checkpoint's is cut, an argument's goes."""
     if isinstance(value, dict):
         return {k: _without_places(v, k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_without_places(item) for item in value]
     if key == "checkpoint":
         return "/".join(Path(value).parts[-3:])
     if key == "command":

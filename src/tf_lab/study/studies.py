@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +14,7 @@ import numpy as np
 from tf_lab.errors import TFLabError
 from tf_lab.study.paper import ABLATIONS, OURS
 from tf_lab.study.results import Run, find_runs
+from tf_lab.study.reuse import commits_of
 from tf_lab.study.runs import key_of
 
 SHOWN_DIFFERENCES = 4
@@ -115,12 +116,16 @@ def group(runs: Iterable[Run]) -> list[Study]:
             chosen[run.row, run.seed] = run
             if older and older.scenes != run.scenes:  # else a copy
                 lines.append(
-                    f"{run.row}, seed {run.seed}: {run.directory} (commit {run.commits[1]}) counts,"
-                    f" the older {older.directory} (commit {older.commits[1]}) does not"
+                    f"{run.row}, seed {run.seed}: {_named(run)} counts, the older {_named(older)} "
+                    "does not"
                 )
         studies.append(Study(members[0].settings, chosen, tuple(lines)))
     studies.sort(key=lambda s: (len(s.runs), max(r.finished for r in s.runs.values())))
     return studies[::-1]
+
+
+def _named(run: Run) -> str:
+    return f"{run.directory} (commit {commits_of(run.makers[:1])})"
 
 
 def differences(settings: dict[str, Any], reference: dict[str, Any]) -> str:
@@ -141,9 +146,8 @@ def _short(value: Any) -> str:
 
 
 def _mixture(study: Study) -> list[str]:
-    """A remark if the runs are not all of one commit."""
-    commits = Counter(commit for run in study.runs.values() for commit in set(run.commits))
-    if len(commits) < 2:
+    """A remark if the runs were not all made by the same code."""
+    makers = [maker for run in study.runs.values() for maker in run.makers]
+    if len({maker.get("code", maker.get("commit")) for maker in makers}) < 2:
         return []
-    counts = ", ".join(f"{commit} ({count})" for commit, count in commits.most_common())
-    return [f"the trainings and evaluations are of several commits: {counts}"]
+    return [f"not all runs were made by the same code: commits {commits_of(makers)}"]
