@@ -21,7 +21,7 @@ from tf_lab.files import atomic_path, write_json
 from tf_lab.provenance import provenance
 
 
-@command("benchmark")
+@command("benchmark", unused=("training", "optimizer"))
 def main(cfg: DictConfig) -> None:
     """Measure everything, print it, write table, JSON and chart."""
     config = plain(cfg)

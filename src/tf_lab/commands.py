@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 import logging
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import hydra
 import torch
-from hydra.errors import CompactHydraException
+from hydra._internal.utils import get_args_parser
+from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
+from tf_lab import overrides
 from tf_lab.errors import TFLabError
+from tf_lab.usage import help_text
 
 
 class FailedJob(CompactHydraException):
@@ -34,12 +38,16 @@ def conf_dir() -> str:
 
 
 def command(
-    config_name: str, before: Callable[[], None] = lambda: None
+    config_name: str, unused: Sequence[str] = (), before: Callable[[], None] = lambda: None
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
-    """`hydra.main` on the shipped configs, with tf_lab's errors as one line and exit status 2.
+    """`hydra.main` on the shipped configs, with every error as one line and exit status 2.
 
-    ``before`` checks what Hydra would not say in one line. A traceback is printed as well if the
-    environment has ``TF_LAB_DEBUG=1``.
+    A traceback is printed as well if the environment has ``TF_LAB_DEBUG=1``.
+
+    Args:
+        config_name: of the root config.
+        unused: settings (or groups of them) of its groups that the command does not read.
+        before: checks what Hydra would not say in one line.
     """
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
@@ -47,31 +55,60 @@ def command(
         def guarded(cfg: DictConfig) -> None:
             _quieten()
             try:
+                if not in_sweep():  # else each job does
+                    overrides.check(cfg, unused)
                 function(cfg)
             except (TFLabError, OmegaConfBaseException, OSError) as error:
-                if os.environ.get("TF_LAB_DEBUG") == "1":
-                    raise
-                print(f"error: {_one_line(error, function)}", file=sys.stderr)
+                _tell(_one_line(error, function))
                 if in_sweep():
-                    raise FailedJob("error: a job of the sweep failed, see above") from None
+                    raise FailedJob("a job of the sweep failed, see above") from None
                 sys.exit(2)
             except KeyboardInterrupt:
                 print("\ninterrupted; the same command goes on from here", file=sys.stderr)
                 sys.exit(130)
 
         wrapped = hydra.main(version_base="1.3", config_path=conf_dir(), config_name=config_name)
+        run = wrapped(guarded)
 
-        def run() -> None:
+        @functools.wraps(function)
+        def start() -> None:
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
             try:
-                before()
-            except TFLabError as error:
-                print(f"error: {error}", file=sys.stderr)
+                words = _words()
+                if words.help:
+                    about = sys.modules[function.__module__].__doc__ or ""
+                    conf = Path(conf_dir())
+                    print(help_text(conf, config_name, about, words.overrides, unused))
+                else:
+                    before()
+                    run()
+            except (HydraException, OmegaConfBaseException, TFLabError) as error:
+                _tell(overrides.explain(error, Path(conf_dir()), config_name))
                 sys.exit(2)
-            wrapped(guarded)()
+            except BrokenPipeError:  # whoever reads has seen enough
+                os._exit(1)
 
-        return run
+        return start
 
     return decorate
+
+
+def _words() -> argparse.Namespace:
+    """The command line. Raises TFLabError: it has an option that there is not."""
+    parser = get_args_parser()
+
+    def error(message: str) -> NoReturn:
+        raise TFLabError(f"{message}; settings are NAME=VALUE, --help lists them")
+
+    parser.error = error  # type: ignore[method-assign]
+    return parser.parse_args()
+
+
+def _tell(line: str) -> None:
+    """Print the error that is being handled; raise it again where someone debugs."""
+    if os.environ.get("TF_LAB_DEBUG") == "1":
+        raise
+    print(f"error: {line}", file=sys.stderr)
 
 
 def _one_line(error: Exception, function: Callable[[DictConfig], None]) -> str:
@@ -80,7 +117,9 @@ def _one_line(error: Exception, function: Callable[[DictConfig], None]) -> str:
     if isinstance(error, MissingMandatoryValue):
         lines = (sys.modules[function.__module__].__doc__ or "").splitlines()
         usage = next((line for line in lines if line.startswith("python -m")), "")
-        text = f"{error.full_key} is missing; usage: {usage}"
+        given = f"{error.full_key}="
+        cure = f"usage: {usage}" if given in usage else f"give {given}VALUE"
+        text = f"{error.full_key} is missing; {cure}"
     if "Original Traceback" in text:  # raised in a loader process
         text = text.rpartition(f"{type(error).__name__}: ")[2]
     return " ".join(text.split())

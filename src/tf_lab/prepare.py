@@ -30,7 +30,7 @@ from tf_lab.progress import progress_bar
 from tf_lab.provenance import provenance
 
 
-@command("prepare")
+@command("prepare", unused=("encoder", "optimizer"))
 def main(cfg: DictConfig) -> None:
     """Prepare the splits, say what was skipped and why."""
     config = plain(cfg)

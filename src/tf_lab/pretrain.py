@@ -73,7 +73,13 @@ class Matching(L.LightningModule):
         return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
-@command("pretrain")
+@command(
+    "pretrain",
+    unused=(
+        *("model", "training", "optimizer", "encoder.weights"),
+        *("trainer.devices", "trainer.strategy", "trainer.compile"),
+    ),
+)
 def main(cfg: DictConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
     config = plain(cfg)

@@ -216,17 +216,6 @@ def test_bf16_and_a_worker_process(train: Train, tmp_path: Path) -> None:
     check_run(result.path("run"))
 
 
-def test_debugging_shows_the_traceback(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
-    quiet = train("views=0")
-    monkeypatch.setenv("TF_LAB_DEBUG", "1")
-    loud = train("views=0")
-    assert quiet.status != 0
-    assert loud.status != 0
-    assert "Traceback" not in quiet.err
-    assert "Traceback (most recent call last)" in loud.err
-    assert "TFLabError: views=0" in loud.err
-
-
 def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outputs: Path) -> None:
     def interrupt(config: object) -> None:
         raise KeyboardInterrupt

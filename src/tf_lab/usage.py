@@ -1,0 +1,105 @@
+"""``--help`` of every command: its docstring, and the configs with their own comments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.types import RunMode
+from omegaconf import OmegaConf
+
+CHOICES = "Choices (* those in use; the settings below are theirs):"
+SETTINGS = "Settings and their values (???: has to be given):"
+MORE = """\
+--cfg job prints the whole config and ends. An error is one line; TF_LAB_DEBUG=1 adds the traceback.
+More in README.md and, on data, in docs/data.md."""
+
+
+def help_text(
+    conf: Path, name: str, about: str, words: Sequence[str] = (), unused: Sequence[str] = ()
+) -> str:
+    """What a command does, its choices, and its settings with value and comment.
+
+    Args:
+        conf: the directory of the configs.
+        name: of the command and its config.
+        about: what it does and how it is called.
+        words: overrides given beside ``--help``: they are in the values shown.
+        unused: settings (or groups of them) that the command does not read.
+    """
+    with initialize_config_dir(str(conf), version_base="1.3"):
+        cfg = compose(name, list(words), return_hydra_config=True)
+        loader = GlobalHydra.instance().config_loader()
+        groups = reversed(cfg.hydra.runtime.choices.items())  # in the order of the config
+        chosen = {group: option for group, option in groups if not group.startswith("hydra/")}
+        options = [(group, o) for group in chosen for o in loader.get_group_options(group)]
+        used = loader.compute_defaults_list(name, list(words), RunMode.RUN).defaults
+    choices = [
+        (f"{'*' if chosen[g] == o else ' '} {g}={o}", _summary(conf / g / f"{o}.yaml"))
+        for g, o in options
+    ]
+    comments: dict[str, str] = {}
+    for config in used:
+        path = conf / f"{config.config_path}.yaml"
+        if path.is_file():  # else it is one of Hydra's
+            comments.update(_comments(path, config.package or ""))
+    values = OmegaConf.to_container(cfg)
+    assert isinstance(values, dict)
+    settings = [
+        (f"  {key}={value}", comments.get(key, ""))
+        for key, value in sorted(_leaves(values), key=lambda leaf: "." in leaf[0])
+        if not is_within(key, ("hydra", *unused))
+    ]
+    parts = [about.strip()]
+    parts += ["\n".join([CHOICES, *_columns(choices)])] if choices else []
+    return "\n\n".join([*parts, "\n".join([SETTINGS, *_columns(settings)]), MORE])
+
+
+def is_within(key: str, groups: Sequence[str]) -> bool:
+    """Whether a setting is one of, or in one of, these."""
+    return any(key == group or key.startswith(f"{group}.") for group in groups)
+
+
+def _summary(path: Path) -> str:
+    """The first comment of a config."""
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("# @")]
+    return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
+
+
+def _comments(path: Path, package: str) -> Iterator[tuple[str, str]]:
+    """The settings of a config that have a comment on their line, and the comment."""
+    text = path.read_text()
+    lines = text.splitlines()
+
+    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str]]:
+        if not isinstance(node, yaml.MappingNode):
+            return
+        for key, value in node.value:
+            name = f"{prefix}{key.value}"
+            end = key.end_mark if isinstance(value, yaml.MappingNode) else value.end_mark
+            comment = lines[end.line][end.column :].partition("# ")[2]
+            if comment:
+                yield name, comment
+            yield from walk(value, f"{name}.")
+
+    return walk(yaml.compose(text), f"{package}." if package else "")
+
+
+def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Every setting's dotted name and its value as it is written on a command line."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
+            yield f"{prefix}{key}", text.removesuffix("...\n").strip()
+
+
+def _columns(rows: Sequence[tuple[str, str]], limit: int = 34) -> Iterator[str]:
+    """Lines of two columns; the first is as wide as most of its texts need."""
+    width = max((len(left) for left, _ in rows if len(left) <= limit), default=0)
+    return (f"{left:{width}}  {right}".rstrip() for left, right in rows)

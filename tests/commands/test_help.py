@@ -1,0 +1,75 @@
+"""``--help``: what a command does, its choices, and every setting with its value and meaning."""
+
+import re
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from tiny_jobs import call, start
+
+from tf_lab.commands import conf_dir, plain
+
+COMMANDS = sorted(path.stem for path in Path(conf_dir()).glob("*.yaml"))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_begins_with_purpose_and_usage(command: str) -> None:
+    result = call(command, "--help")
+    assert (result.status, result.err) == (0, "")
+    first, blank, usage, *_ = result.out.splitlines()
+    assert len(first) > 20 and first.endswith((".", ":"))
+    assert blank == ""
+    assert usage.startswith(f"python -m tf_lab.{command}")
+    assert "README.md" in result.out.splitlines()[-1]
+    assert "hydra" not in result.out.lower()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_setting_has_a_comment(command: str) -> None:
+    lines = call(command, "--help").out.partition("Settings")[2].split("\n\n")[0].splitlines()[1:]
+    assert lines
+    assert [line for line in lines if not re.fullmatch(r"  [\w.]+=.*?  \S.*", line)] == []
+
+
+@pytest.mark.parametrize(
+    "option", ["data=captures", "data=scannet", "data=shards", "logger=wandb", "model=paper"]
+)
+def test_every_setting_of_a_choice_has_a_comment(option: str) -> None:
+    out = call("train", option, "--help").out
+    assert f"* {option} " in out
+    lines = out.partition("Settings")[2].split("\n\n")[0].splitlines()[1:]
+    assert [line for line in lines if not re.fullmatch(r"  [\w.]+=.*?  \S.*", line)] == []
+
+
+def test_every_choice_says_what_it_is() -> None:
+    lines = call("train", "-h").out.split("\n\n")[2].splitlines()[1:]
+    shown = {line[2:].split()[0] for line in lines}
+    files = [p for p in Path(conf_dir()).glob("*/*.yaml") if (p.parent / p.name).is_file()]
+    assert {f"{p.parent.name}={p.stem}" for p in files} <= shown
+    assert [line for line in lines if not re.fullmatch(r"[* ] \S+ +\w.*", line)] == []
+    assert sum(line.startswith("* fusion=") for line in lines) == 1
+
+
+def test_the_values_are_those_of_the_command_line() -> None:
+    words = ("model=small", "optimizer.steps=77", "views=4")
+    out = call("train", *words, "--help").out
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        config = plain(compose("train", list(words)))
+    assert re.search(r"^  optimizer.steps=77 +\w", out, re.M)
+    assert re.search(r"^  views=4 +K, ", out, re.M)
+    assert re.search(rf"^  model.width={config['model']['width']} ", out, re.M)
+
+
+def test_what_a_command_does_not_read_is_neither_shown_nor_taken() -> None:
+    assert "optimizer." not in call("pretrain", "--help").out
+    result = call("pretrain", "optimizer.steps=3")
+    assert result.status == 2
+    assert result.err == "error: optimizer.steps=3: tf_lab.pretrain does not use it\n"
+
+
+def test_help_of_a_process(tmp_path: Path) -> None:
+    result = start("evaluate", "--help", cwd=tmp_path)
+    assert (result.status, result.err) == (0, "")
+    assert "python -m tf_lab.evaluate predictions=DIR groundtruth=DIR" in result.out
+    assert "predictions=???" in result.out
+    assert list(tmp_path.iterdir()) == []
