@@ -34,12 +34,8 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
         TFLabError: the data set is unknown or cannot be prepared.
     """
     d = config["data"]
-    if d["name"] in ("scannet", "captures") and "scenes" in d:
+    if not _is_rooms(config):
         return _prepare_captures(config, splits)
-    if d["name"] != "rooms":
-        raise TFLabError(
-            f"data.name={d['name']}: choose the data by data=rooms, data=scannet or data=captures"
-        )
     size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
     frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
     wanted = {
@@ -56,6 +52,28 @@ def scene_directory(config: Config, name: str) -> Path:
     index = int(name.removeprefix("room_")) - FIRST_SEED["test"]
     settings = RoomSettings(d["width"], d["height"], d["test_frames"])
     return room_directory(Path(d["root"]).expanduser(), "test", index, settings)
+
+
+def has_scenes(config: Config, split: str) -> bool:
+    """Whether "val" or "test" has a scene, made or still to be made.
+
+    Raises:
+        TFLabError: those asked for are not there.
+    """
+    if _is_rooms(config):
+        return config["data"][f"{split}_size"] > 0
+    return bool(capture_sources(config, (split,))[split])
+
+
+def _is_rooms(config: Config) -> bool:
+    """Whether it is the rooms' config; else it is one of captures."""
+    d = config["data"]
+    captures = d["name"] in ("scannet", "captures") and "scenes" in d
+    if not captures and d["name"] != "rooms":
+        raise TFLabError(
+            f"data.name={d['name']}: choose the data by data=rooms, data=scannet or data=captures"
+        )
+    return not captures
 
 
 def training_chunks(config: Config) -> ChunkSource:

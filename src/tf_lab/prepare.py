@@ -34,13 +34,7 @@ from tf_lab.provenance import provenance
 def main(cfg: DictConfig) -> None:
     """Prepare the splits, say what was skipped and why."""
     config = plain(cfg)
-    if config["data"]["name"] == "rooms":
-        for split, scenes in prepare_data(config, tuple(config["splits"])).items():
-            if scenes:
-                print(f"{split}: {len(scenes)} rooms in {scenes[0].parent}")
-        failed = 0
-    else:
-        failed = _prepare(config)
+    failed = _prepare_rooms(config) if config["data"]["name"] == "rooms" else _prepare(config)
     if config["shards"]:
         _write_shards(config)
     if failed:
@@ -48,6 +42,16 @@ def main(cfg: DictConfig) -> None:
             f"{failed} scenes failed, see above; the others are ready, and the same command tries "
             "these again"
         )
+
+
+def _prepare_rooms(config: dict[str, Any]) -> int:
+    """Rooms, of which none can fail."""
+    for split, scenes in prepare_data(config, tuple(config["splits"])).items():
+        if scenes:
+            print(f"{split}: {len(scenes)} rooms in {scenes[0].parent}")
+            if config["pictures"]:
+                _draw({s.name: s for s in scenes}, scenes[0].parent.parent / "pictures")
+    return 0
 
 
 def _prepare(config: dict[str, Any]) -> int:
@@ -60,7 +64,7 @@ def _prepare(config: dict[str, Any]) -> int:
     prepared = prepare_captures(sources, root, settings, config["data"]["workers"], memory)
     print(summarise(prepared, root / settings.key))
     if config["pictures"]:
-        print(f"pictures: {_draw(prepared.scenes, root / settings.key / 'pictures')}")
+        _draw(prepared.scenes, root / settings.key / "pictures")
     return len(prepared.failed)
 
 
@@ -77,7 +81,7 @@ def _write_shards(config: dict[str, Any]) -> None:
     print(f"{index.parent}: {config['shard_chunks']} chunks; train with data.urls={index.parent}")
 
 
-def _draw(scenes: Mapping[str, Path], folder: Path) -> Path:
+def _draw(scenes: Mapping[str, Path], folder: Path) -> None:
     """A picture of each scene's frames and ground truth; those that exist are kept."""
     with progress_bar() as bar:
         for name, directory in bar.track(scenes.items(), description="drawing"):
@@ -89,7 +93,7 @@ def _draw(scenes: Mapping[str, Path], folder: Path) -> Path:
             chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
             images = [scene.image(int(i)) for i in chosen]
             compare(mesh, None, images, path, name, label="Ground truth")
-    return folder
+    print(f"pictures: {folder}")
 
 
 if __name__ == "__main__":

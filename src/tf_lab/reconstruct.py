@@ -115,9 +115,19 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
 
 def _fuse_depth(capture: Capture, directory: Path) -> None:
     """Ground truth from the source's own depth, if it has any; the mesh is there without it."""
+    frames, unreadable = [], []
+    for i in range(len(capture.frames)):
+        try:
+            if capture.depth(i) is not None:
+                frames.append(i)
+        except TFLabError as error:
+            unreadable.append(error)
+    if unreadable:
+        print(f"{len(unreadable)} depth maps are left out; the first: {unreadable[0]}")
+    if not frames:
+        return
     try:
-        if capture.depth(0) is not None:
-            write_groundtruth(capture, directory, GroundTruthSettings())
+        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames)
     except TFLabError as error:
         print(f"not scored, because the depth cannot be fused: {error}")
 

@@ -15,8 +15,7 @@ from typing import Any
 import lightning as L
 import torch
 import yaml
-from lightning.pytorch.callbacks import ModelCheckpoint
-from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
@@ -27,11 +26,12 @@ from tf_lab.checkpoint import load_network, save_network
 from tf_lab.commands import command, device_of, in_sweep, plain
 from tf_lab.configuration import make_network, optimizer_settings, ready, test_settings
 from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.datasets import identified, prepare_data, training_chunks
+from tf_lab.datasets import has_scenes, identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, held, remove_abandoned, write_json
 from tf_lab.jobs import check_launcher, end_with_parent, run_job
+from tf_lab.loggers import make_loggers
 from tf_lab.pictures import loss_curve
 from tf_lab.provenance import provenance
 from tf_lab.study.reuse import say_reused
@@ -56,9 +56,15 @@ def main(cfg: DictConfig) -> None:
     if read_metrics(run) is not None:
         say_reused("evaluation", run)
     else:
+        tested = has_scenes(config, "test")
+        if not tested and not _is_helper():
+            print("no score will be made: there is no test scene (data.test, data.test_size)")
         checkpoint = train(config)
         if _is_helper():
             return  # the first process of a distributed training does the rest
+        if not tested:
+            print(f"training: {checkpoint.parent}")
+            return
         evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
@@ -86,10 +92,6 @@ def evaluate_training(config: Config, checkpoint: Path) -> Path:
             return run
         network, info = load_network(checkpoint)
         scenes = prepare_data(config, ("test",))["test"]
-        if not scenes:
-            raise TFLabError(
-                f"there is no test scene (data.test); the training is done: {checkpoint}"
-            )
         write_config(run, config)
         write_json(run / "run.json", {**provenance(), "checkpoint": str(checkpoint), **info})
         device = device_of("cpu" if config["trainer"]["accelerator"] == "cpu" else "auto")
@@ -123,15 +125,15 @@ def _is_helper() -> bool:
 
 def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     L.seed_everything(config["seed"], verbose=False)
+    network, optimizer = make_network(config), optimizer_settings(config)
+    module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
+    sittings = Sittings()
+    trainer = _trainer(config, [_saving(config, directory), sittings], directory)
+    # whatever is wrong so far is told before the data is made
     train, val = training_chunks(config), prepare_data(config, ("val",))["val"]
-    network = make_network(config)
     if config["trainer"]["compile"]:
         network.compile_parts()
-    optimizer = optimizer_settings(config)
-    module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
     data = SceneDataModule(train, val, config["seed"], config["trainer"]["workers"])
-    sittings = Sittings()
-    trainer = _trainer(config, directory, sittings)
     last = directory / "last.ckpt"
     if last.exists():
         _check(last)
@@ -173,30 +175,32 @@ def _check(last: Path) -> None:
         ) from error
 
 
-def _trainer(config: Config, directory: Path, sittings: Sittings) -> L.Trainer:
-    arguments = {k: v for k, v in config["trainer"].items() if k not in ("compile", "workers")}
-    t = config["training"]
-    steps = config["optimizer"]["steps"]
-    saving = ModelCheckpoint(
+def _saving(config: Config, directory: Path) -> ModelCheckpoint:
+    return ModelCheckpoint(
         directory,
         filename="last",
-        every_n_train_steps=t["save_every"],
+        every_n_train_steps=config["training"]["save_every"],
         save_top_k=1,
         enable_version_counter=False,
         save_on_train_epoch_end=False,
     )
-    validate = t["validate_every"]
+
+
+def _trainer(config: Config, callbacks: Sequence[Callback], directory: Path) -> L.Trainer:
+    arguments = {k: v for k, v in config["trainer"].items() if k not in ("compile", "workers")}
+    steps, every = config["optimizer"]["steps"], config["training"]["validate_every"]
+    validate = every and has_scenes(config, "val")
     try:
         return L.Trainer(
             max_steps=steps,
-            val_check_interval=min(validate, steps) if validate else None,
-            limit_val_batches=1.0 if validate and config["data"]["val_size"] else 0,
+            val_check_interval=min(every, steps) if every else None,
+            limit_val_batches=1.0 if validate else 0,
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             gradient_clip_val=config["optimizer"]["clip"] or None,
-            callbacks=[saving, sittings, TrainingProgress()],
+            callbacks=[*callbacks, TrainingProgress()],
             plugins=[AtomicSaves()],
-            logger=make_logger(config, directory),
+            logger=make_loggers(config, directory),
             log_every_n_steps=5,
             enable_progress_bar=False,
             enable_model_summary=False,
@@ -205,26 +209,6 @@ def _trainer(config: Config, directory: Path, sittings: Sittings) -> L.Trainer:
         )
     except (MisconfigurationException, TypeError, ValueError) as error:
         raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error
-
-
-def make_logger(config: Config, directory: Path) -> Sequence[Logger]:
-    """The CSV logger, which the loss curve is drawn from, and the one that is asked for."""
-    kind = config["logger"]["kind"]
-    loggers: list[Logger] = [CSVLogger(directory, name="logs", flush_logs_every_n_steps=20)]
-    if kind == "tensorboard":
-        loggers.append(TensorBoardLogger(directory, name="tensorboard"))
-    if kind == "wandb":
-        loggers.append(
-            WandbLogger(
-                name=directory.name,
-                id=directory.name,
-                save_dir=directory,
-                project=config["logger"]["project"],
-                offline=config["logger"]["offline"],
-                config=dict(config),
-            )
-        )
-    return loggers
 
 
 def write_config(directory: Path, config: Config) -> None:

@@ -50,6 +50,7 @@ def surroundings(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     small = functools.partial(pictures.compare, size=(96, 72))
     monkeypatch.setattr("tf_lab.testing.compare", small)
     monkeypatch.setattr("tf_lab.reconstruct.compare", small)
+    monkeypatch.setattr("tf_lab.prepare.compare", small)
     monkeypatch.setattr(protocol, "SAMPLES", 20_000)
 
 

@@ -287,6 +287,11 @@ def test_a_bad_setting_of_train(
     assert not list(tmp_path.glob("trainings/*/last.ckpt"))
 
 
+def test_an_encoder_that_does_not_ship() -> None:
+    result = call("train", "model=small", "encoder.weights=rooms", "data.size=1", "data.val_size=0")
+    told(result, "encoder.weights=rooms", "tf_lab.pretrain model=small", "encoder.weights=FILE")
+
+
 @pytest.mark.parametrize(
     ("argument", "expected"),
     [

@@ -6,8 +6,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
-from tiny_jobs import call, environment, start
+from PIL import Image
+from tiny_jobs import TINY, call, environment, start
 
 from layouts import room_frames, seven_scenes
 
@@ -85,12 +87,32 @@ def test_training_and_testing_on_captures(captures: Path, tmp_path: Path) -> Non
         *("encoder.weights=none", "encoder.width=8", "encoder.blocks=[1,1,1]"),
         *("encoder.coarse_channels=8", "encoder.fine_channels=8", "training.chunks=1"),
         *("training.images=2", "training.views=[2]", "training.coverage=0.2"),
-        *("training.validate_every=0", "optimizer.steps=2", "resolution=0.05"),
+        *("training.validate_every=2", "optimizer.steps=2", "resolution=0.05"),
         *("trainer.accelerator=cpu", "trainer.workers=0"),
     )
     assert result.status == 0, result.err
     assert "office" in result.out
+    assert "no score" not in result.out
+    (log,) = (tmp_path / "outputs").glob("trainings/*/logs/version_0/metrics.csv")
+    assert "val/fscore" in log.read_text()
     assert "scene hall is left out" in result.out + result.err
+
+
+def test_pictures_of_rooms(cache: Path) -> None:
+    arguments = [word for word in TINY if word.startswith("data.")]
+    result = call("prepare", *arguments, "pictures=true", "splits=[val,test]")
+    assert (result.status, result.err) == (0, "")
+    for name in ("room_1000000", "room_2000000"):
+        (picture,) = cache.glob(f"rooms-*/pictures/{name}.png")
+        with Image.open(picture) as image:
+            assert np.asarray(image.convert("L")).std() > 10
+
+
+def test_a_test_scene_that_is_not_there_is_told_before_the_training(captures: Path) -> None:
+    result = call("train", "data=captures", f"data.root={captures}", "data.test=[attic]")
+    assert result.status == 2
+    assert "data.test: 1 of 1 scenes are not there, the first: attic" in result.err
+    assert not Path("outputs").exists()
 
 
 def test_shards_are_written_and_trained_on(captures: Path, tmp_path: Path) -> None:

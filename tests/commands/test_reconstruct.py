@@ -116,14 +116,30 @@ def test_a_capture_with_depth_is_scored_too(
     assert scores[0] == scores[1]
 
 
+def test_frames_without_depth_are_no_part_of_the_truth(
+    reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]], mine: Path
+) -> None:
+    """Whichever they are: here the first has none, and another is damaged."""
+    shutil.copytree(rooms("test")[0] / "depth", mine / "depth")
+    (mine / "depth" / "000000.png").unlink()
+    damaged = mine / "depth" / "000003.png"
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    result = reconstruct("input=mine", "output=a.ply")
+    assert (result.status, result.err) == (0, "")
+    assert f"1 depth maps are left out; the first: {Path('mine/depth/000003.png')}" in result.out
+    assert "F-score" in result.out
+
+
 def test_depth_that_cannot_be_fused_costs_the_score_only(
     reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]], mine: Path
 ) -> None:
     shutil.copytree(rooms("test")[0] / "depth", mine / "depth")
-    (mine / "depth" / "000003.png").unlink()
+    for path in (mine / "depth").iterdir():
+        with Image.open(path) as image:
+            Image.new(image.mode, image.size).save(path)  # no reading
     result = reconstruct("input=mine", "output=a.ply")
     assert (result.status, result.err) == (0, "")
-    assert "not scored, because the depth cannot be fused: mine: frame 000003" in result.out
+    assert "not scored, because the depth cannot be fused: no depth reading" in result.out
     assert Path("a.ply").exists()
     assert Path("a.png").exists()
 

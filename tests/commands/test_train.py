@@ -216,6 +216,16 @@ def test_bf16_and_a_worker_process(train: Train, tmp_path: Path) -> None:
     check_run(result.path("run"))
 
 
+def test_without_a_test_scene_it_trains_and_says_that_there_is_no_score(
+    train: Train, checkpoint: Path
+) -> None:
+    result = train("data.test_size=0")
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith("no score will be made: there is no test scene")
+    assert result.path("training") == checkpoint.parent
+    assert "F-score" not in result.out
+
+
 def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outputs: Path) -> None:
     def interrupt(config: object) -> None:
         raise KeyboardInterrupt

@@ -73,15 +73,17 @@ def fuse_capture(
     settings: GroundTruthSettings,
     memory: int = 2**30,
     device: torch.device | str = "cpu",
+    frames: Sequence[int] | None = None,
 ) -> tuple[VoxelGrid, Iterator[tuple[int, TSDF]]]:
-    """All depth maps of a capture fused on a grid that holds all that is near a surface.
+    """Depth maps of a capture (all or some) fused on a grid that holds all near a surface.
 
     Returns:
         The grid, and its slabs as `fuse_in_slabs` gives them.
     """
-    K = torch.from_numpy(capture.K).float()
-    poses = torch.from_numpy(capture.world_T_cam).float()
-    depths = DepthMaps(capture, range(len(capture.frames)), settings.far)
+    chosen = list(range(len(capture.frames)) if frames is None else frames)
+    K = torch.from_numpy(capture.K[chosen]).float()
+    poses = torch.from_numpy(capture.world_T_cam[chosen]).float()
+    depths = DepthMaps(capture, chosen, settings.far)
     margin = max(settings.truncation, COARSE) + settings.voxel
     lower, upper = bounds_of(depths, K, poses, margin)
     grid = VoxelGrid.covering(lower.tolist(), upper.tolist(), settings.voxel)
@@ -126,22 +128,24 @@ def write_groundtruth(
     structure: Structure | None = None,
     memory: int = 2**30,
     device: torch.device | str = "cpu",
+    frames: Sequence[int] | None = None,
 ) -> None:
     """Fuse a capture's depth and write its ground truth (not atomic; see `files`).
 
     Args:
-        capture: every frame with depth.
+        capture: every frame with depth, unless ``frames`` says which have it.
         directory: is made.
         settings: how to fuse.
         mesh: the surface, where the source brings one; None: that of the fused depth.
         structure: what of the surface is floor and wall, where the source says so.
         memory: bytes that the fusion may take.
         device: where to fuse.
+        frames: those to fuse; None: all.
 
     Raises:
         TFLabError: the depth maps give no surface.
     """
-    grid, fused = fuse_capture(capture, settings, memory, device)
+    grid, fused = fuse_capture(capture, settings, memory, device, frames)
     directory.mkdir(parents=True, exist_ok=True)
     meshes = []
     with (

@@ -165,8 +165,9 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
     elif source == "rooms":
         if not shipped.is_file():
             raise TFLabError(
-                f"encoder.weights=rooms: {shipped.name} is not shipped for this model size; make "
-                "it with `python -m tf_lab.pretrain model=...`, or use encoder.weights=none"
+                f"encoder.weights=rooms: {shipped.name} does not ship with tf_lab; make it with "
+                f"`python -m tf_lab.pretrain model={shipped.stem.removesuffix('-encoder')}` and "
+                "give the file that it names (encoder.weights=FILE), or use encoder.weights=none"
             )
         state = read_state_dict(shipped)
     else:
