@@ -16,18 +16,29 @@ Rows = Sequence[Sequence[str]]
 def tables(found: Mapping[str, Any]) -> str:
     """All measurements as text."""
     parts = [
+        _what(found),
         _table("Adding a frame (ms)", *_frame(found)),
         _table("Frames per second", *_fps(found)),
         _table("Meshing a 1.5 m chunk (ms)", *_chunk(found)),
         _table("Against scene size", *_size(found)),
         _table("Against frames already there", *_count(found)),
         _table("Floor: the work at the best rates measured here", *_floor(found)),
-        f"{found['rates']['flops'] / 1e9:,.0f} GFLOP/s, {found['rates']['bytes'] / 1e9:,.1f} GB/s",
+        f"{found['rates']['flops'] / 1e9:,.0f} GFLOP/s, {found['rates']['bytes'] / 1e9:,.0f} GB/s",
         _table("Ratios", ["", "ratio"], [[k, f"{v:.2f}"] for k, v in found["ratios"].items()]),
         _table("Peak memory", *_memory(found)),
         "paper: Bozic et al. 2021, supplement, on an RTX 3090",
     ]
     return "\n\n".join(parts)
+
+
+def _what(found: Mapping[str, Any]) -> str:
+    """What was measured, and on what."""
+    config, machine = found["config"], found["provenance"]["machine"]
+    where = (
+        machine.get("gpu") or f"{machine['processor']}, {_count_of('thread', machine['threads'])}"
+    )
+    size = f"{config['width']}x{config['height']}"
+    return f"model={config['model']['name']}, {size}, {found['precision']}, {where}"
 
 
 def _modes(found: Mapping[str, Any]) -> list[str]:
@@ -39,7 +50,7 @@ def _frame(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     rows = [
         [
             stage,
-            *(f"{found['frame'][f'{m} {k}'].get(stage, 0):.2f}" for m in modes),
+            *(_number(found["frame"][f"{m} {k}"].get(stage)) for m in modes),
             f"{paper.FRAME_MS[stage]:.2f}",
         ]
         for stage in (*STAGES, "total")
@@ -68,10 +79,10 @@ def _size(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     head = [
         "rooms",
         "ms a frame",
-        "it sees",
-        "voxels",
-        "in the box",
-        "sets MiB",
+        "voxels in view",
+        "voxels seen",
+        "voxels in the box",
+        "view sets MiB",
         "bytes a voxel",
         "all MiB",
     ]
@@ -104,11 +115,11 @@ def _floor(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
             rows.append(
                 [
                     f"{name}, {stage}",
-                    f"{x['flops'] / 1e9:,.2f}",
-                    f"{x['bytes'] / 1e6:,.1f}",
-                    f"{x['ms']:,.2f}",
-                    f"{measured[stage]:,.2f}",
-                    f"{measured[stage] / x['ms']:.2f}" if x["ms"] else "-",
+                    _number(x["flops"] / 1e9),
+                    _number(x["bytes"] / 1e6),
+                    _number(x["ms"]),
+                    _number(measured[stage]),
+                    _number(measured[stage] / x["ms"] if x["ms"] else None),
                 ]
             )
     return ["", "GFLOP", "MB", "floor ms", "measured ms", "measured / floor"], rows
@@ -117,6 +128,14 @@ def _floor(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
 def _memory(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     rows = [[name, f"{peak / MIB:,.0f}"] for name, peak in found["peak memory"].items()]
     return ["", "MiB"], rows
+
+
+def _count_of(thing: str, n: int) -> str:
+    return f"{n} {thing}" + ("" if n == 1 else "s")
+
+
+def _number(x: float | None) -> str:
+    return f"{x:,.2f}" if x else "-"
 
 
 def _table(title: str, head: Sequence[str], rows: Rows) -> str:
@@ -131,25 +150,20 @@ def _table(title: str, head: Sequence[str], rows: Rows) -> str:
 
 
 def draw(found: Mapping[str, Any], path: Path) -> None:
-    """A chart: stages of a frame and of a chunk beside the paper's, and the cost against size."""
+    """A chart: stages of a frame and of a chunk beside the paper's, and growth with the scene."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 4), layout="constrained")
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
+    figure.suptitle(_what(found))
     frame, chunk, size = figure.subplots(1, 3)
     k = found["views"]
     bars = {m: found["frame"][f"{m} {k}"] for m in _modes(found)}
     _stack(frame, {**bars, "paper": paper.FRAME_MS}, STAGES, f"adding a frame, K = {k}")
     both = {"here": found["chunk"], "paper": paper.CHUNK_MS}
     _stack(chunk, both, CHUNK_STAGES, "meshing a 1.5 m chunk")
-    rooms = [x["rooms"] for x in found["size"]]
-    size.plot(rooms, [x["ms a frame"] for x in found["size"]], "o-", label="ms a frame")
-    size.plot(
-        rooms, [x["memory"]["view sets"] / MIB for x in found["size"]], "s-", label="view sets, MiB"
-    )
-    size.set(xlabel="rooms", xticks=rooms, ylim=(0, None), title="against scene size")
-    size.legend()
+    _growth(size, found["size"])
     figure.savefig(path, dpi=110)
 
 
@@ -164,3 +178,22 @@ def _stack(axes: Any, bars: Mapping[str, Any], stages: Sequence[str], title: str
         axes.text(i, 101, f"{bar['total']:,.0f} ms", ha="center")
     axes.set(ylabel="%", ylim=(0, 108), title=title)
     axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=2)
+
+
+def _growth(axes: Any, sizes: Sequence[Mapping[str, Any]]) -> None:
+    """How cost and memory grow with the scene, relative to the smallest."""
+    rooms = [x["rooms"] for x in sizes]
+    for label, marker, values in (
+        ("time a frame", "o-", [x["ms a frame"] for x in sizes]),
+        ("memory of view sets", "s-", [x["memory"]["view sets"] for x in sizes]),
+        ("voxels seen", "^--", [x["voxels seen"] for x in sizes]),
+    ):
+        axes.plot(rooms, [value / values[0] for value in values], marker, label=label)
+    axes.set(
+        xlabel="rooms",
+        xticks=rooms,
+        ylabel=f"times that of {_count_of('room', rooms[0])}",
+        title="scene size",
+    )
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=8)

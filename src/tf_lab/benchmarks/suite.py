@@ -68,6 +68,7 @@ def run_all(
         count = run("frame counts", partial(measure.against_count, network, settings))
     found = {
         "views": most,
+        "precision": str(dtype).removeprefix("torch."),
         "rates": rate,
         "frame": frame,
         "chunk": chunk,
