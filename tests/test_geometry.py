@@ -102,6 +102,17 @@ def test_projection_broadcasts_over_views() -> None:
         torch.testing.assert_close(depth[view], z)
 
 
+def test_autocast_rounds_no_coordinate() -> None:
+    """A network that computes in half precision still has to look at the right pixel."""
+    camera = camera_at([0.3, -2.0, 1.1]).float()
+    points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+    exact = project(points, K.float(), invert_pose(camera))
+    with torch.autocast("cpu", torch.bfloat16):
+        found = project(points, K.float(), invert_pose(camera))
+    for a, b in zip(found, exact, strict=True):
+        torch.testing.assert_close(a, b, atol=0, rtol=0)
+
+
 @pytest.mark.parametrize("to_size", [(32, 24), (128, 96), (16, 24), (100, 31)])
 def test_scale_intrinsics_keeps_image_corners(to_size: tuple[int, int]) -> None:
     scaled = scale_intrinsics(K, SIZE, to_size)

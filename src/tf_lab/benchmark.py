@@ -33,12 +33,12 @@ def main(cfg: DictConfig) -> None:
         .requires_grad_(False)
         for used in (True, False)
     }
-    results = run_all(networks, _settings(config, device), config["views"], config["eager"])
-    results["config"] = config
-    results["provenance"] = provenance()
+    origin = provenance()  # of the code that runs, not of what HEAD becomes
+    origin["machine"]["threads"] = torch.get_num_threads()
     if device.type == "cuda":
-        results["provenance"]["machine"]["gpu"] = torch.cuda.get_device_name(device)
-    results["provenance"]["machine"]["threads"] = torch.get_num_threads()
+        origin["machine"]["gpu"] = torch.cuda.get_device_name(device)
+    found = run_all(networks, _settings(config, device), config["views"], config["eager"])
+    results = {"config": config, "provenance": origin, **found}
     output = Path(config["output"])
     text = tables(results)
     print(text)

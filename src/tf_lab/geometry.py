@@ -22,9 +22,19 @@ from torch import Tensor
 COARSE, FINE, CHUNK = 0.30, 0.10, 1.5  # metres; the paper's v_c, v_f and chunk edge
 
 
+def linear_map(matrix: Tensor, points: Tensor) -> Tensor:
+    """M p of matrices M [..., R, 3] and points p [..., P, 3]: [..., P, R].
+
+    No matrix product: autocast would round one to bfloat16, and CUDA to TF32, which are wrong by
+    pixels where a point is projected.
+    """
+    x, y, z = matrix.unsqueeze(-3).unbind(-1)  # the columns
+    return points[..., :1] * x + points[..., 1:2] * y + points[..., 2:] * z
+
+
 def transform(b_T_a: Tensor, points: Tensor) -> Tensor:
     """Points [..., P, 3] of frame a, in frame b, by the rigid transforms [..., 4, 4]."""
-    return points @ b_T_a[..., :3, :3].transpose(-1, -2) + b_T_a[..., None, :3, 3]
+    return linear_map(b_T_a[..., :3, :3], points) + b_T_a[..., None, :3, 3]
 
 
 def invert_pose(b_T_a: Tensor) -> Tensor:
@@ -32,7 +42,7 @@ def invert_pose(b_T_a: Tensor) -> Tensor:
     rotation = b_T_a[..., :3, :3].transpose(-1, -2)
     inverse = torch.zeros_like(b_T_a)
     inverse[..., :3, :3] = rotation
-    inverse[..., :3, 3] = -(rotation @ b_T_a[..., :3, 3:]).squeeze(-1)
+    inverse[..., :3, 3] = -linear_map(rotation, b_T_a[..., None, :3, 3]).squeeze(-2)
     inverse[..., 3, 3] = 1
     return inverse
 
@@ -65,7 +75,7 @@ def project(points: Tensor, K: Tensor, cam_T_world: Tensor) -> tuple[Tensor, Ten
     """
     camera = transform(cam_T_world, points)
     depth = camera[..., 2]
-    pixels = camera @ K.transpose(-1, -2)
+    pixels = linear_map(K, camera)
     safe = torch.where(depth.abs() < 1e-6, torch.full_like(depth, 1e-6), depth)
     return pixels[..., :2] / safe[..., None], depth
 

@@ -176,8 +176,17 @@ def test_half_precision_is_close(tiny_network: Factory, scene: Scene, dtype: str
     computed = reconstruct(network, scene, maps=dtype, precision="bfloat16")
     computed.update()
     for r, tolerance in ((maps, 0.02), (computed, 0.1)):
+        assert torch.equal(r.coarse.store.seen, exact.coarse.store.seen)  # geometry stays exact
         psi = r.coarse.features["psi"], exact.coarse.features["psi"]
         assert (psi[0] - psi[1]).abs().mean() < tolerance * psi[1].abs().mean()
+
+
+@pytest.mark.slow
+def test_compiled_networks_give_the_same_mesh(tiny_network: Factory, scene: Scene) -> None:
+    network = balanced(tiny_network(), scene)
+    expected = reconstruct(network, scene).mesh(color=False)
+    network.compile_parts()
+    assert_same_surface(reconstruct(network, scene).mesh(color=False), expected)
 
 
 def test_view_weights(tiny_network: Factory, scene: Scene) -> None:

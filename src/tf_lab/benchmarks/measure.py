@@ -164,16 +164,20 @@ def per_chunk(network: Network, settings: BenchmarkSettings) -> dict[str, float]
 
 @torch.inference_mode()
 def fusion(network: Network, settings: BenchmarkSettings) -> dict[str, float]:
-    """Milliseconds to fuse 1000 voxels, which lazy fusion puts off until a mesh is asked for."""
+    """Milliseconds to fuse 1000 voxels, which lazy fusion puts off until a mesh is asked for.
+
+    Those that most frames have seen; "views" is how many they hold on average.
+    """
     r = prepared(network, settings, 1)
     rows = r.fine.store.seen.topk(min(FUSED, len(r.fine.store.seen))).indices
+    views = float(r.fine.store.filled[rows].sum()) / len(rows)
     now, times = clock(r.device), []
     for _ in range(2):
         start = now()
         with r._precision():
             r.fine.fuse(rows, len(rows))
         times.append(now() - start)
-    return {"fuse 1000 voxels": 1000 * min(times) * FUSED / len(rows)}
+    return {"fuse 1000 voxels": 1000 * min(times) * FUSED / len(rows), "views": views}
 
 
 def against_size(network: Network, settings: BenchmarkSettings) -> list[dict[str, Any]]:

@@ -71,7 +71,8 @@ def _fps(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
 def _chunk(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     chunk = found["chunk"]
     rows = [[s, f"{chunk[s]:.2f}", f"{paper.CHUNK_MS[s]:.2f}"] for s in (*CHUNK_STAGES, "total")]
-    rows.append(["fuse 1000 voxels", f"{chunk['fuse 1000 voxels']:.2f}", "-"])
+    fused = f"fuse 1000 voxels of {chunk['views']:.1f} views"
+    rows.append([fused, f"{chunk['fuse 1000 voxels']:.2f}", "-"])
     return ["", "here", "paper"], rows
 
 

@@ -26,7 +26,7 @@ import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import COARSE, FINE, is_valid_pose
+from tf_lab.geometry import COARSE, FINE, is_valid_pose, linear_map
 from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
 from tf_lab.online.frustum import frustum_box, voxels_in
@@ -206,7 +206,7 @@ class Reconstructor:
     def _touched(self, voxels: Tensor, frame: int) -> Tensor:
         """Coarse voxels [P, 3] that a frustum may touch: bool [P], true for all that it does."""
         planes = self.frames.cameras["planes"][frame]
-        inside = ((voxels.float() + 0.5) * COARSE) @ planes[:, :3].T + planes[:, 3]
+        inside = linear_map(planes[:, :3], (voxels.float() + 0.5) * COARSE) + planes[:, 3]
         return (inside > -COARSE).all(1)  # a voxel's corner is 0.87 edges from its centre
 
     def _checked(
