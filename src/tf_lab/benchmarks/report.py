@@ -34,9 +34,9 @@ def tables(found: Mapping[str, Any]) -> str:
 def _what(found: Mapping[str, Any]) -> str:
     """What was measured, and on what."""
     config, machine = found["config"], found["provenance"]["machine"]
-    where = (
-        machine.get("gpu") or f"{machine['processor']}, {_count_of('thread', machine['threads'])}"
-    )
+    threads = machine["threads"]
+    times = "1 thread, CPU time" if threads == 1 else f"{threads} threads"  # see `clock`
+    where = machine.get("gpu") or f"{machine['processor']}, {times}"
     size = f"{config['width']}x{config['height']}"
     return f"model={config['model']['name']}, {size}, {found['precision']}, {where}"
 
@@ -131,10 +131,6 @@ def _memory(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     return ["", "MiB"], rows
 
 
-def _count_of(thing: str, n: int) -> str:
-    return f"{n} {thing}" + ("" if n == 1 else "s")
-
-
 def _number(x: float | None) -> str:
     return f"{x:,.2f}" if x else "-"
 
@@ -193,7 +189,7 @@ def _growth(axes: Any, sizes: Sequence[Mapping[str, Any]]) -> None:
     axes.set(
         xlabel="rooms",
         xticks=rooms,
-        ylabel=f"times that of {_count_of('room', rooms[0])}",
+        ylabel=f"times that of rooms={rooms[0]}",
         title="scene size",
     )
     axes.set_ylim(bottom=0)

@@ -84,7 +84,8 @@ class Network(nn.Module):
         c = config
         self.config = config
         # channels last: convolutions and samples along the channels are faster, on CPU and GPU
-        self.encoder = Encoder(**c.encoder).to(memory_format=torch.channels_last)
+        self.encoder = Encoder(**c.encoder)
+        self.encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         channels = {
             "coarse": c.encoder["coarse_channels"],
             "fine": c.encoder["fine_channels"],

@@ -177,8 +177,7 @@ class Frames:
 
     def _load(self, frame: int) -> None:
         """Encode a frame into a free slot, or into that of the maps unused for longest."""
-        image = upload(self.images[frame][None], self.device)
-        found = self.network.encode(image.contiguous(memory_format=torch.channels_last))
+        found = self.network.encode(upload(self.images[frame][None], self.device))
         if not self._pools:
             for level in LEVELS:
                 c, h, w = found[level].shape[1:]
