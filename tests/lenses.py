@@ -7,6 +7,7 @@ them): ``perspective`` with k1, k2, p1, p2, k3 to k6, ``fisheye`` with k1 to k4.
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 Lens = Callable[[np.ndarray], np.ndarray]  # slopes x / z, y / z [..., 2] -> bent ones
 
@@ -73,3 +74,11 @@ def plane_depth(plane: np.ndarray, cam_T_world: np.ndarray, slopes: np.ndarray) 
     distance = plane[3] + normal @ cam_T_world[:3, 3]
     rays = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1)
     return np.asarray(distance / (rays @ normal))
+
+
+def moved(rotation: list[float], translation: list[float]) -> np.ndarray:
+    """A rigid transform [4, 4] from a rotation vector and a translation."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
+    pose[:3, 3] = translation
+    return pose

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import lenses
 from tf_lab.data.lens import MAX_SLOPE, Camera, camera_of, rectify_image, register_depth
@@ -178,17 +177,10 @@ DEPTH_CAMERAS: dict[str, tuple[Camera, lenses.Lens | None]] = {
 COLOR = Camera(SIZE, **FOCAL)
 
 
-def moved(rotation: list[float], translation: list[float]) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
-    pose[:3, 3] = translation
-    return pose
-
-
 PLACES = {
     "there": None,
-    "beside": moved([0, 0, 0], [0.05, 0.01, 0.0]),
-    "turned": moved([0.02, -0.08, 0.05], [-0.04, 0.02, 0.03]),
+    "beside": lenses.moved([0, 0, 0], [0.05, 0.01, 0.0]),
+    "turned": lenses.moved([0.02, -0.08, 0.05], [-0.04, 0.02, 0.03]),
 }
 
 
@@ -231,7 +223,7 @@ def test_the_nearer_surface_hides_the_farther_one() -> None:
     camera = Camera((64, 48), 50.0, 50.0, 31.5, 23.5)
     depth = np.full((48, 64), 4.0, np.float32)
     depth[:, 32:] = 1.0
-    seen = register_depth(depth, camera, camera, moved([0, 0, 0], [-0.2, 0, 0]))
+    seen = register_depth(depth, camera, camera, lenses.moved([0, 0, 0], [-0.2, 0, 0]))
     # the near half moves by 50 * 0.2 / 1 = 10 pixels, the far one by 2.5
     assert set(np.unique(seen)) == {0.0, 1.0, 4.0}
     assert (seen[:, 22:54] == 1).all()
@@ -242,7 +234,9 @@ def test_the_nearer_surface_hides_the_farther_one() -> None:
 def test_readings_behind_the_camera_or_missing_give_none() -> None:
     camera = Camera((8, 6), 8.0, 8.0, 3.5, 2.5)
     depth = np.full((6, 8), 0.5, np.float32)
-    assert (register_depth(depth, camera, camera, moved([0, 0, 0], [0, 0, -1.0])) == 0).all()
+    assert (register_depth(depth, camera, camera, lenses.moved([0, 0, 0], [0, 0, -1.0])) == 0).all()
     for value in (0.0, np.nan, -1.0, np.inf):
         nothing = np.full((6, 8), value, np.float32)
-        assert (register_depth(nothing, camera, camera, moved([0, 0, 0], [0.1, 0, 0])) == 0).all()
+        assert (
+            register_depth(nothing, camera, camera, lenses.moved([0, 0, 0], [0.1, 0, 0])) == 0
+        ).all()

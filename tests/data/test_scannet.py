@@ -15,6 +15,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from layouts.sens import JPEG, PNG, RAW, RAW_USHORT, ZLIB_USHORT, Stream
+from lenses import moved
 from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.errors import TFLabError
@@ -334,13 +335,6 @@ def rig_stream(color_extrinsics: np.ndarray, depth_extrinsics: np.ndarray) -> St
     depth = plane_depth(world_T_depth, RIG_DEPTH_K, RIG_DEPTH_SIZE)
     stream.add(np.zeros((48, 64, 3), np.uint8), np.round(depth * 20000), world_T_depth)
     return stream
-
-
-def moved(rotation: list[float], translation: list[float]) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
-    pose[:3, 3] = translation
-    return pose
 
 
 RIGS = {

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import IterableDataset
 
 from tf_lab.data.chunks import (
     COARSE_GRID,
@@ -22,6 +22,7 @@ from tf_lab.data.chunks import (
 )
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
+from tf_lab.data.steps import own_steps
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import (
     CHUNK,
@@ -183,12 +184,7 @@ class ChunkStream(IterableDataset[ChunkBatch]):
         self.first_step, self.rank = first_step, rank
 
     def __iter__(self) -> Iterator[ChunkBatch]:
-        worker = get_worker_info()
-        offset, stride = (worker.id, worker.num_workers) if worker else (0, 1)
-        step = self.first_step + offset
-        while True:
-            yield self.batch(step)
-            step += stride
+        return map(self.batch, own_steps(self.first_step))
 
     def batch(self, step: int) -> ChunkBatch:
         """The batch of a step."""

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import IterableDataset
 
 from tf_lab.data.scene import Scene
+from tf_lab.data.steps import own_steps
 from tf_lab.data.tsdf import unproject
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import in_view, invert_pose, project, transform
@@ -72,12 +73,8 @@ class PairStream(IterableDataset[PairBatch]):
         self.seed, self.first_step = seed, first_step
 
     def __iter__(self) -> Iterator[PairBatch]:
-        worker = get_worker_info()
-        offset, stride = (worker.id, worker.num_workers) if worker else (0, 1)
-        step = self.first_step + offset
-        while True:
+        for step in own_steps(self.first_step):
             yield self.batch(np.random.default_rng([self.seed, step]))
-            step += stride
 
     def batch(self, rng: np.random.Generator) -> PairBatch:
         """One batch.
