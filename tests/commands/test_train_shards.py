@@ -34,7 +34,7 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
     # elsewhere, and named in another way
     moved = shutil.move(shards, shards.parent / "moved")
     again = train("data=shards", f'data.urls="{moved}/chunks-{{000000..000001}}.tar"')
-    assert "reusing the identical finished training" in again.out
+    assert "reusing the identical finished evaluation" in again.out
     assert again.path("run") == first.path("run")
     half = train("data=shards", f"data.urls={moved}/chunks-000000.tar")
     assert half.path("training") != first.path("training")
