@@ -126,7 +126,9 @@ def _is_helper() -> bool:
 def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     L.seed_everything(config["seed"], verbose=False)
     network, optimizer = make_network(config), optimizer_settings(config)
-    module = Training(network, optimizer, config["training"]["sdf_weight"], test_settings(config))
+    t = config["training"]
+    memory = round(t["maps_memory"] * 2**30)
+    module = Training(network, optimizer, t["sdf_weight"], test_settings(config), memory)
     sittings = Sittings()
     trainer = _trainer(config, [_saving(config, directory), sittings], directory)
     # whatever is wrong so far is told before the data is made

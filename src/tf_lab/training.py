@@ -18,6 +18,7 @@ from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.network.known_maps import KnownMaps
 from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
 from tf_lab.progress import progress_bar
@@ -37,7 +38,8 @@ class OptimizerSettings:
         warmup: steps of linear warm-up (5000 in the paper).
         steps: all steps.
         clip: largest gradient norm; 0: none (paper).
-        encoder_factor: the encoder's learning rate over the others' (1 in the paper).
+        encoder_factor: the encoder's learning rate over the others' (1 in the paper); 0: it stays
+            as it is, and encodes an image once.
     """
 
     lr: float
@@ -72,6 +74,7 @@ class Training(L.LightningModule):
         optimizer: see `OptimizerSettings`.
         sdf_weight: of the signed-distance loss (0 in the paper).
         test: test-time settings of validation.
+        maps_memory: bytes of feature maps to keep if the encoder is frozen.
     """
 
     def __init__(
@@ -80,14 +83,18 @@ class Training(L.LightningModule):
         optimizer: OptimizerSettings,
         sdf_weight: float,
         test: TestSettings,
+        maps_memory: int = 0,
     ) -> None:
         super().__init__()
         self.network, self.optimizer_settings = network, optimizer
         self.sdf_weight, self.test_settings = sdf_weight, test
+        frozen = optimizer.encoder_factor == 0
+        self.known_maps = KnownMaps(network, maps_memory) if frozen else None
         self.save_hyperparameters({"network": asdict(network.config), "sdf_weight": sdf_weight})
 
     def training_step(self, batch: ChunkBatch, batch_idx: int) -> Tensor:
         """L = L_c + L_f + L_o of a batch."""
+        known = self.known_maps
         predictions = self.network(
             batch.images,
             batch.K,
@@ -98,6 +105,7 @@ class Training(L.LightningModule):
             batch.coarse_target,
             keep=int(batch.keep[0]) or None,
             ranked=bool(batch.ranked[0]),
+            maps=None if known is None else known(batch.images.flatten(0, 1)),
         )
         terms = losses(
             predictions,
@@ -123,7 +131,7 @@ class Training(L.LightningModule):
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam with a per-step schedule."""
         s = self.optimizer_settings
-        encoder = list(self.network.encoder.parameters())
+        encoder = [p for p in self.network.encoder.parameters() if p.requires_grad]
         others = [p for n, p in self.network.named_parameters() if not n.startswith("encoder.")]
         groups: list[dict[str, Any]] = [
             {"params": others},

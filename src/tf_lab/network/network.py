@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -157,6 +158,7 @@ class Network(nn.Module):
         coarse_target: Tensor | None,
         keep: int | None = None,
         ranked: bool = False,
+        maps: Mapping[str, Tensor] | None = None,
     ) -> Predictions:
         """One training pass over chunks that share a grid, each in its own frame.
 
@@ -172,10 +174,13 @@ class Network(nn.Module):
             keep: K_t, how many of its valid views every voxel keeps, as at test time; None: all
                 V views, invalid ones too (paper).
             ranked: keep those of the highest attention weight instead of the first.
+            maps: the images' feature maps [B * V, C, h, w] by level, where they are known.
         """
         B, V = images.shape[:2]
         size = (images.shape[-1], images.shape[-2])
-        maps = {k: m.unflatten(0, (B, V)) for k, m in self.encode(images.flatten(0, 1)).items()}
+        if maps is None:
+            maps = self.encode(images.flatten(0, 1))
+        maps = {level: m.unflatten(0, (B, V)) for level, m in maps.items()}
 
         def fuse(level: str, where: list[Tensor]) -> tuple[Tensor, Tensor]:
             """Fused features of points [P_b, 3] of every chunk, and whether a view sees them."""
