@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tf_lab.network.refinement import ResidualBlock3d
+from tf_lab.network.refinement import ChannelNorm, ResidualBlock3d
 from tf_lab.online.blocks import Blocks
 
 GATHER = {"cpu": 1 << 21, "cuda": 1 << 27}  # floats gathered at a time
@@ -66,10 +66,12 @@ def residual_blocks(blocks: nn.ModuleList, x: Tensor, table: Tensor) -> Tensor:
 
 def mask_logits(head: nn.Module, x: Tensor, table: Tensor) -> Tensor:
     """A mask head's logits [Q] at the voxels of ``table`` [Q, 27], from features [P, C]."""
-    first, last = head[0], head[2]  # type: ignore[index]
+    assert isinstance(head, nn.Sequential)
+    first, _, last = head
+    assert isinstance(first, nn.Conv3d) and isinstance(last, nn.Conv3d)
     hidden = F.relu(convolve(first, x, table))
     return F.linear(hidden, last.weight.flatten(1), last.bias).squeeze(1)
 
 
-def _normed(norm: nn.Module, x: Tensor) -> Tensor:
-    return F.relu(F.layer_norm(x, x.shape[1:], norm.weight, norm.bias, 1e-5))  # type: ignore[arg-type]
+def _normed(norm: ChannelNorm, x: Tensor) -> Tensor:
+    return F.relu(F.layer_norm(x, x.shape[1:], norm.weight, norm.bias, 1e-5))

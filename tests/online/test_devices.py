@@ -1,0 +1,65 @@
+"""That nothing strays to another device, and how often adding a frame waits for the GPU."""
+
+import numpy as np
+import pytest
+import torch
+
+from online.pretended_gpu import PretendedGpu, on_gpu
+from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from tf_lab.data.scene import Scene
+from tf_lab.online.eager import EagerReconstructor
+from tf_lab.online.reconstructor import Reconstructor
+from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+
+
+@pytest.mark.parametrize(
+    ("kind", "policy", "masks"),
+    [
+        (Reconstructor, AttentionSelection(), True),
+        (Reconstructor, RandomSelection(1), False),
+        (EagerReconstructor, AttentionSelection(), True),
+    ],
+)
+def test_all_work_is_done_on_the_networks_device(
+    tiny_network: Factory,
+    scene: Scene,
+    kind: type[Reconstructor],
+    policy: SelectionPolicy,
+    masks: bool,
+) -> None:
+    network = balanced(tiny_network(filter=masks), scene)
+    settings = settings_of(views=3, resolution=0.1)
+    expected = add(kind(network, settings, policy), scene).mesh()
+    with PretendedGpu():
+        r = add(kind(on_gpu(network), settings, policy), scene)
+        assert r.device.type == "cuda"
+        mesh = r.mesh()
+        weights = r.view_weights(np.zeros((2, 3)), "coarse")[1]
+    assert_same_surface(mesh, expected)
+    assert weights.shape == (2, 3)
+
+
+@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(1)])
+def test_adding_a_frame_waits_for_list_lengths_only(
+    tiny_network: Factory, scene: Scene, policy: SelectionPolicy
+) -> None:
+    """Known fine blocks, coarse voxels in view, new blocks, fine voxels in view: four lists."""
+    network = balanced(tiny_network(), scene)
+    with PretendedGpu() as gpu:
+        r = add(Reconstructor(on_gpu(network), settings_of(views=3), policy), scene)
+        r.update()
+        gpu.waits.clear()
+        add(r, scene, FRAMES[:1])
+        assert gpu.waits == {"__getitem__": 4}
+
+
+def test_the_pretended_gpu_is_strict() -> None:
+    with PretendedGpu() as gpu:
+        here, there = torch.ones(3), torch.ones(3, device="cuda")
+        with pytest.raises(AssertionError, match="mixes"):
+            here + there
+        assert (there + 1).device.type == "cuda"
+        assert not gpu.waits
+        assert there.sum().item() == 3
+        here.to(torch.device("cuda"))
+        assert gpu.waits == {"item": 1, "to": 1}
