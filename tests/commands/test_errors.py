@@ -66,6 +66,16 @@ def no_intrinsics(mine: Path) -> None:
     (mine / "K.txt").unlink()
 
 
+def no_poses(mine: Path) -> None:
+    (mine / "poses.txt").unlink()
+
+
+def deeper(mine: Path) -> None:
+    mine.rename("capture")
+    Path("mine/scene").mkdir(parents=True)
+    Path("capture").rename("mine/scene/seq-01")
+
+
 def other_file(mine: Path) -> None:
     empty(mine)
     (mine / "video.mp4").write_bytes(b"0")
@@ -88,6 +98,8 @@ def truncated_images(mine: Path) -> None:
             one_pose_less,
             ("poses.txt has 23 lines, images/ has 24", "write one pose an image"),
         ),
+        (no_poses, ("mine: images/ is there, but no poses", "write poses.txt", "K.txt")),
+        (deeper, ("mine: holds captures", "such as mine/scene/seq-01")),
         (lost_poses, ("mine: no usable frame", "NaN", "every frame needs")),
         (no_intrinsics, ("K.txt: missing", "3x3 intrinsics")),
         (truncated_images, ("mine: none of the", "keyframes can be read", "images/000000.jpg")),

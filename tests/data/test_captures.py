@@ -136,6 +136,14 @@ def test_no_capture(tmp_path: Path) -> None:
         find_captures(tmp_path)
 
 
+@pytest.mark.parametrize("given", ["scans", "scans/kitchen/seq-01"])
+def test_the_folder_that_holds_the_captures_is_told(tmp_path: Path, given: str) -> None:
+    sequence = tmp_path / "scans" / "kitchen" / "seq-01"
+    seven_scenes.write(sequence, room_frames())
+    with pytest.raises(TFLabError, match=f"the folder that holds them is {sequence.parent}"):
+        find_captures(tmp_path / given)
+
+
 @pytest.mark.parametrize("given", [["a", "c"], "FILE"])
 def test_names_of_a_split(tmp_path: Path, given: Sequence[str]) -> None:
     if given == "FILE":

@@ -20,7 +20,7 @@ from tf_lab.data.chunk_weights import Structure
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.preparation import SceneJob, build_scenes
-from tf_lab.data.readers import detect_format, open_capture
+from tf_lab.data.readers import capture_within, detect_format, open_capture
 from tf_lab.data.resize import Resized
 from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene
@@ -77,10 +77,13 @@ def find_captures(root: Path) -> dict[str, Path]:
         if not path.name.startswith(".") and detect_format(path):
             found[path.name if path.is_dir() else path.stem] = path
     if not found:
-        raise TFLabError(
-            f"data.root={root}: no capture in it; give the folder that holds the folders of the "
-            "captures (docs/data.md shows every layout)"
+        inner = root if detect_format(root) else capture_within(root)
+        cure = (
+            "give the folder that holds the captures' folders (docs/data.md shows every layout)"
+            if inner is None
+            else f"the folder that holds them is {inner.resolve().parent}"
         )
+        raise TFLabError(f"data.root={root}: no capture in it; {cure}")
     return found
 
 

@@ -105,11 +105,35 @@ def _detect(path: Path) -> str:
     if len(found) > 1:
         raise TFLabError(f"{path}: may be {' or '.join(found)}; say which with format=")
     if not found:
-        layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
-        empty = path.is_dir() and not any(path.iterdir())
-        state = "empty" if empty else "of no known layout"
-        raise TFLabError(f"{path}: {state}; looked for {'; '.join(layouts)}")
+        raise TFLabError(f"{path}: {_why_unknown(path)}")
     return found[0]
+
+
+def _why_unknown(path: Path) -> str:
+    """What is wrong with a path of no known layout, and what to do."""
+    if (path / "images").is_dir():
+        return (
+            "images/ is there, but no poses; write poses.txt (a camera-to-world matrix a line) and "
+            "K.txt beside it (docs/data.md), or add what has them (transforms.json, sparse/0/)"
+        )
+    inner = capture_within(path)
+    if inner is not None:
+        return f"holds captures, and is none itself; give one of them, such as {inner}"
+    layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
+    empty = path.is_dir() and not any(path.iterdir())
+    state = "empty" if empty else "of no known layout"
+    return f"{state}; looked for {'; '.join(layouts)}"
+
+
+def capture_within(path: Path) -> Path | None:
+    """The first folder of a known layout in a folder or in the folders in it."""
+    folders = _folders(path)
+    inner = (deeper for folder in folders for deeper in _folders(folder))
+    return next((folder for folder in (*folders, *inner) if detect_format(folder)), None)
+
+
+def _folders(path: Path) -> list[Path]:
+    return sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
 
 
 def _metric(capture: SourceCapture, path: Path, scale: float | None) -> SourceCapture:

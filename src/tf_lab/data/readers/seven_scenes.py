@@ -59,7 +59,7 @@ def read(directory: Path) -> SourceCapture:
             pose = parse_pose((directory / f"{name}.pose.txt").read_text())
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
-            skipped.append(f"{name}: {name}.pose.txt is not a pose ({reason})")
+            skipped.append(f"{name}: no pose in {name}.pose.txt ({reason})")
             continue
         depth = directory / f"{name}.depth.png"
         frames.append(
