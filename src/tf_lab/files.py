@@ -89,6 +89,14 @@ def write_json(path: Path, value: Any) -> None:
         temporary.write_text(json.dumps(value, indent=2) + "\n")
 
 
+def remove_directory(path: Path) -> None:
+    """Remove a directory; what is half removed never passes for a whole one."""
+    remove_abandoned(path.parent)
+    temporary = path.with_name(_prefix() + path.name)
+    path.rename(temporary)
+    shutil.rmtree(temporary)
+
+
 @contextlib.contextmanager
 def held(directory: Path, work: str) -> Iterator[None]:
     """Hold a directory's lock, which the kernel frees when its holder dies.

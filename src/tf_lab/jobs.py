@@ -12,8 +12,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +23,7 @@ from omegaconf import DictConfig
 
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
+from tf_lab.processes import end_with
 from tf_lab.study.reuse import say_reused
 from tf_lab.testing import read_metrics
 
@@ -71,7 +70,9 @@ def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -
     else:
         write_json(folder / RECORD, {**record, "failed": "ended with the sweep"})
         print(f"job {hydra.job.num}: {row}, seed {seed}; log: {log}", flush=True)
-        status = _run([sys.executable, "-m", module, *single_run(hydra)], log)
+        alone = hydra.launcher._target_.endswith(".BasicLauncher")
+        prefix = "" if alone else f"{hydra.job.num}: "
+        status = _run([sys.executable, "-m", module, *single_run(hydra)], log, prefix)
         run = find()
         if status != 0 or run is None:
             record["failed"] = _reason(status)
@@ -91,8 +92,8 @@ def single_run(hydra: HydraConf) -> list[str]:
     ]
 
 
-def _run(command: Sequence[str], log: Path) -> int:
-    """Run a process; its output goes to the log and to the screen."""
+def _run(command: Sequence[str], log: Path, prefix: str) -> int:
+    """Run a process; its output goes to the log and, with a prefix, to the screen."""
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", PARENT: str(os.getpid())}
     with (
         log.open("w") as file,
@@ -108,9 +109,8 @@ def _run(command: Sequence[str], log: Path) -> int:
         try:
             assert process.stdout is not None
             for line in process.stdout:
-                for output in (file, sys.stdout):
-                    output.write(line)
-                    output.flush()
+                print(line, end="", file=file, flush=True)
+                print(prefix + line, end="", flush=True)
         except BaseException:  # interrupted: the process must not go on alone
             process.terminate()
             raise
@@ -125,16 +125,9 @@ def _reason(status: int) -> str:
 
 def end_with_parent() -> None:
     """End this process as soon as the sweep that started it is gone, even if that was killed."""
-    parent = os.environ.pop(PARENT, None)
-    if parent is None:
-        return
-
-    def watch() -> None:
-        while os.getppid() == int(parent):
-            time.sleep(0.2)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    parent = os.environ.pop(PARENT, None)  # helpers of a distributed training have another
+    if parent is not None:
+        end_with(int(parent))
 
 
 class JobTable(Callback):

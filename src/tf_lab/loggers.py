@@ -1,8 +1,10 @@
-"""Where a training logs to."""
+"""Where losses and scores are logged, beside the files of a training and a run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import wandb
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
 
 from tf_lab.errors import TFLabError
+from tf_lab.study.runs import training_directory
 
 
 def make_loggers(config: Mapping[str, Any], directory: Path) -> Sequence[Logger]:
@@ -45,10 +48,42 @@ def _wandb(config: Mapping[str, Any], directory: Path) -> Logger:
         offline=config["logger"]["offline"],
         config=dict(config),
     )
-    try:
+    with _account():
         _ = logger.experiment  # logs in
+    return logger
+
+
+@contextlib.contextmanager
+def _account() -> Iterator[None]:
+    try:
+        yield
     except wandb.Error as error:
         raise TFLabError(
             f"logger=wandb: {error} Or take logger=wandb_offline, which needs no account."
         ) from error
-    return logger
+
+
+def log_scores(config: Mapping[str, Any], run: Path, mean: Mapping[str, float]) -> None:
+    """Log the scores of an evaluation with W&B, if that is asked for.
+
+    An evaluation is a W&B run of its own, because a training may have many; but under
+    ``wandb agent`` all belongs to the one run that the agent has begun.
+    """
+    if config["logger"]["kind"] != "wandb":
+        return
+    if "WANDB_SWEEP_ID" not in os.environ:
+        wandb.finish()  # the training's
+    with _account():
+        session = wandb.run or wandb.init(
+            name=run.name,
+            id=run.name,
+            group=training_directory(config).name,
+            job_type="evaluation",
+            dir=run,
+            project=config["logger"]["project"],
+            mode="offline" if config["logger"]["offline"] else None,
+            config=dict(config),
+            resume="allow",
+        )
+    session.log({f"test/{key}": value for key, value in mean.items()})
+    session.finish()

@@ -31,7 +31,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, held, remove_abandoned, write_json
 from tf_lab.jobs import check_launcher, end_with_parent, run_job
-from tf_lab.loggers import make_loggers
+from tf_lab.loggers import log_scores, make_loggers
 from tf_lab.pictures import loss_curve
 from tf_lab.provenance import provenance
 from tf_lab.study.reuse import say_reused
@@ -68,6 +68,7 @@ def main(cfg: DictConfig) -> None:
         evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
+    log_scores(config, run, metrics["mean"])
     label = row_label(config)
     print(format_table([*metrics["scenes"].items(), (label, metrics["mean"])]))
     print(f"training: {training_directory(config)}\nrun:      {run}")

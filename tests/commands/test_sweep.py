@@ -23,7 +23,7 @@ def jobs_in_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[str]]
     """Jobs run in this process, which is faster; their command lines."""
     commands: list[list[str]] = []
 
-    def run(command: Sequence[str], log: Path) -> int:
+    def run(command: Sequence[str], log: Path, prefix: str) -> int:
         interpreter, flag, module, *arguments = command
         assert (interpreter, flag, module) == (sys.executable, "-m", "tf_lab.train")
         commands.append(arguments)
@@ -97,7 +97,7 @@ def test_a_failing_job_does_not_end_the_others(train: Train) -> None:
 def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     configs, commands = [], []
     monkeypatch.setattr("tf_lab.train._finished", lambda cfg: configs.append(plain(cfg)))
-    monkeypatch.setattr("tf_lab.jobs._run", lambda command, log: commands.append(command) or 0)
+    monkeypatch.setattr("tf_lab.jobs._run", lambda command, *_: commands.append(command) or 0)
     given = ("training.views=[1,2]", "output='a b=c'", "+trainer.max_time='1:2'")
     result = train("sweep=inputs", "seed=3,4", "row=avg,views8_rnd", *given, "hydra.verbose=false")
     assert result.status == 1

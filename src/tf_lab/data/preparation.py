@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
-import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -16,7 +15,8 @@ from pathlib import Path
 import torch
 
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_directory, remove_abandoned
+from tf_lab.files import atomic_directory, held, remove_abandoned
+from tf_lab.processes import end_with
 from tf_lab.progress import progress_bar
 
 
@@ -56,9 +56,13 @@ def build_scenes(
     missing = [job for job in jobs if not job.directory.is_dir()]
     if not missing:
         return {}
-    for folder in {job.directory.parent for job in missing}:
-        remove_abandoned(folder)
-    return run_tasks({job.directory.name: partial(_build, job) for job in missing}, title, workers)
+    with contextlib.ExitStack() as locks:
+        for folder in sorted({job.directory.parent for job in missing}):
+            locks.enter_context(held(folder, "prepares"))
+            remove_abandoned(folder)
+        missing = [job for job in missing if not job.directory.is_dir()]
+        tasks = {job.directory.name: partial(_build, job) for job in missing}
+        return run_tasks(tasks, title, workers) if tasks else {}
 
 
 def run_tasks(
@@ -97,14 +101,7 @@ def run_tasks(
 def _worker() -> None:
     """Start of a worker process: one thread, and no life after a killed parent."""
     torch.set_num_threads(1)
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.1)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    end_with(os.getppid())
 
 
 def _build(job: SceneJob) -> None:

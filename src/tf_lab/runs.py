@@ -1,0 +1,107 @@
+"""What trainings and evaluations there are, how far they are, who made them; and removing them.
+
+python -m tf_lab.runs [list | show NAME | rm NAME...] [--output DIR]
+
+A NAME is a directory's, or the key at its end. With a training go its evaluations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import format_table
+from tf_lab.study.inventory import RUNS, TRAININGS, Entry, find, find_runs, find_trainings, remove
+from tf_lab.study.reuse import commits_of
+from tf_lab.testing import read_metrics
+
+
+def main() -> None:
+    """List, show or remove."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tf_lab.runs",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("action", nargs="?", choices=("list", "show", "rm"), default="list")
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    parser.add_argument("--output", type=Path, default=Path("outputs"), metavar="DIR")
+    given = parser.parse_intermixed_args()
+    if bool(given.names) == (given.action == "list"):
+        parser.error(f"{given.action}: " + ("takes no NAME" if given.names else "of which NAME?"))
+    try:
+        if given.action == "list":
+            print(listing(given.output))
+        for name in given.names:
+            entry = find(given.output, name)
+            if given.action == "show":
+                print(details(entry))
+            else:
+                print("\n".join(f"removed {path}" for path in remove(given.output, entry)))
+    except (TFLabError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def listing(output: Path) -> str:
+    """All trainings and evaluations as two tables.
+
+    Raises:
+        TFLabError: there are none.
+    """
+    trainings, runs = find_trainings(output), find_runs(output)
+    if not trainings and not runs:
+        raise TFLabError(f"{output}: no trainings or evaluations in it; give --output DIR")
+    first = [["TRAINING", "STATE", "COMMIT", "MINUTES", "USED BY (ROW / SEED)"]]
+    for entry in trainings:
+        used = [run.label for run in runs if run.training == entry.directory.name]
+        seconds = entry.origin.get("seconds")
+        minutes = f"{seconds / 60:.1f}" if seconds is not None else ""
+        first.append([*_start(entry), minutes, "; ".join(used)])
+    second = [["EVALUATION", "STATE", "COMMIT", "F-SCORE", "ROW / SEED"]]
+    for entry in runs:
+        score = f"{entry.fscore:.3f}" if entry.fscore is not None else ""
+        second.append([*_start(entry), score, entry.label])
+    return "\n".join(
+        [f"{output / TRAININGS}:", *_aligned(first), "", f"{output / RUNS}:", *_aligned(second)]
+    )
+
+
+def _start(entry: Entry) -> list[str]:
+    state = entry.state + (f", {entry.user} works on it" if entry.user else "")
+    makers = entry.origin.get("sittings", [entry.origin] if entry.origin else [])
+    return [entry.directory.name, state, commits_of(makers)]
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def details(entry: Entry) -> str:
+    """All that is known of a training or an evaluation."""
+    lines = [f"{entry.directory}: {entry.label}, {', '.join(_start(entry)[1:])}"]
+    metrics = read_metrics(entry.directory) if entry.fscore is not None else None
+    if metrics is not None:
+        rows = [*metrics["scenes"].items(), (metrics["label"], metrics["mean"])]
+        lines += ["", format_table(rows, "Scene")]
+    known = {key: value for key, value in entry.origin.items() if key != "config"}
+    if "training" in known:
+        training = known["training"]
+        known["training"] = {k: v for k, v in training.items() if k != "config"}
+    lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
+    lines += ["", "config:", yaml.safe_dump(entry.config, sort_keys=False).rstrip()]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
