@@ -1,18 +1,24 @@
 """Sweeps: trained once, every job a process of its own, restartable, with a table at the end."""
 
 import json
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
 from test_train import check_run
-from tiny_jobs import Result, call
+from tiny_jobs import TINY, Result, call, environment, start, tiny_config
 
+from tf_lab.checkpoint import read_info
 from tf_lab.commands import conf_dir, plain
+from tf_lab.files import holder
+from tf_lab.study.runs import training_directory
 
 Train = Callable[..., Result]
 SIX = ("-m", "views=4,8,16", "select=rnd,attn")
@@ -111,3 +117,104 @@ def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.Mo
     assert [(c["seed"], c["fusion"]["strategy"]) for c in composed] == [
         *((3, "avg"), (3, "transformer"), (4, "avg"), (4, "transformer")),
     ]
+
+
+def kill(
+    arguments: Sequence[str], when: Path, environment: dict[str, str], after: float = 0
+) -> None:
+    """Start a sweep and send it SIGKILL some seconds after a file has appeared."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tf_lab.train", *arguments],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        while not when.exists():
+            assert process.poll() is None, "it ended before"
+            time.sleep(0.02)
+        time.sleep(after)
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.usefixtures("outputs")
+def test_a_killed_sweep_goes_on_to_the_same_results(
+    tmp_path: Path, jobs_in_process: list[list[str]]
+) -> None:
+    """By processes of their own, and by the same command."""
+    sweep = [*TINY, "-m", "row=ours,views4", "optimizer.steps=40"]
+    killed = [*sweep, f"output={tmp_path / 'killed'}"]
+    training = training_directory(tiny_config("optimizer.steps=40", killed[-1]))
+    kill(killed, training / "last.ckpt", environment())
+    while holder(training):  # its job ends with it
+        time.sleep(0.05)
+    assert not (training / "model.safetensors").exists()
+
+    result = call("train", *killed)
+    assert (result.status, result.err) == (0, "")
+    assert len(read_info(training / "model.safetensors")["training"]["sittings"]) == 2
+    undisturbed = call("train", *sweep, f"output={tmp_path / 'undisturbed'}")
+    assert table(result) == table(undisturbed)
+    assert records(tmp_path / "killed") == records(tmp_path / "undisturbed")
+    assert len(records(tmp_path / "killed")) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("outputs")
+@pytest.mark.timeout(1800)
+def test_a_sweep_killed_twice_at_random_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
+    sweep = [*TINY, "-m", "row=ours,avg,no_ray", "optimizer.steps=40"]
+    rng = np.random.default_rng(int(time.time()))
+    killed = [*sweep, f"output={tmp_path / 'killed'}"]
+    for row in ("ours", "avg"):
+        config = tiny_config("optimizer.steps=40", f"row={row}", killed[-1])
+        kill(killed, training_directory(config), environment(), rng.uniform(0, 10))
+    results = [start("train", *killed, cwd=tmp_path)]
+    results.append(start("train", *sweep, f"output={tmp_path / 'undisturbed'}", cwd=tmp_path))
+    assert [result.status for result in results] == [0, 0]
+    assert table(results[0]) == table(results[1])
+    assert records(tmp_path / "killed") == records(tmp_path / "undisturbed")
+    began = time.monotonic()
+    assert table(start("train", *killed, cwd=tmp_path)) == table(results[0])
+    assert time.monotonic() - began < 20  # a promise of the README's
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("outputs")
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(
+    "launcher",
+    [("launcher=local", "launcher.jobs=2"), ("hydra/launcher=submitit_local",)],
+    ids=["local", "submitit"],
+)
+def test_jobs_side_by_side(launcher: Sequence[str], tmp_path: Path) -> None:
+    """Two jobs of one training: one trains, the other waits for it; one job fails."""
+    result = start("train", *TINY, "-m", "views=4,8,0", *launcher, cwd=tmp_path)
+    assert result.status == 1
+    scores = table(result)
+    assert 0 <= float(scores["Ours: 4 images", 0]) <= 1
+    assert 0 <= float(scores["Ours: 8 images", 0]) <= 1
+    assert scores["Ours: 0 images", 0].startswith("failed: exit status 2, see ")
+    assert len(list(tmp_path.glob("outputs/trainings/*"))) == 1
+    logs = [path.read_text() for path in tmp_path.glob("outputs/sweeps/*/*/log.txt")]
+    assert len(logs) == 3
+    assert sum("reusing the identical finished training" in log for log in logs) == 2
+    assert sum("waiting for process " in log for log in logs) >= 1
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("outputs")
+@pytest.mark.timeout(1800)
+def test_a_sweep_of_distributed_trainings(tmp_path: Path) -> None:
+    """Each job starts its helpers, trains, tests and has a folder of its own."""
+    ddp = ("trainer.devices=2", "trainer.strategy=ddp")
+    result = start("train", *TINY, "-m", "row=ours,avg", *ddp, cwd=tmp_path)
+    assert result.status == 0, result.out + result.err
+    assert [float(score) >= 0 for score in table(result).values()] == [True, True]
+    for log in tmp_path.glob("outputs/sweeps/*/*/log.txt"):
+        assert "GLOBAL_RANK: 1, MEMBER: 2/2" in log.read_text()
+    for run in tmp_path.glob("outputs/runs/*"):
+        check_run(run)
+    assert len(list(tmp_path.glob("outputs/trainings/*/model.safetensors"))) == 2

@@ -1,0 +1,135 @@
+"""`python -m tf_lab.runs`: what is there, how far it is, and removing it."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tiny_jobs import Result, call, tiny_config
+
+from tf_lab.files import held
+from tf_lab.provenance import commit
+from tf_lab.study.reuse import commits_of, say_reused
+from tf_lab.train import write_config
+
+
+@pytest.fixture
+def mine(main_job: Result, outputs: Path, tmp_path: Path) -> Path:
+    """An output folder with the main job's training and evaluation."""
+    for path in (main_job.path("training"), main_job.path("run")):
+        shutil.copytree(outputs.parent / path, tmp_path / path)
+    return tmp_path / "outputs"
+
+
+def lines(*arguments: str) -> list[list[str]]:
+    """The words of each line that the command prints."""
+    result = call("runs", *arguments)
+    assert (result.status, result.err) == (0, "")
+    return [line.split("  ") for line in result.out.splitlines()]
+
+
+def unfinished(output: Path, name: str) -> Path:
+    directory = output / "trainings" / name
+    directory.mkdir()
+    write_config(directory, tiny_config("seed=1", "fusion=avg"))
+    return directory
+
+
+def test_a_list_of_all(mine: Path, main_job: Result) -> None:
+    torch.save({"global_step": 3}, unfinished(mine, "half") / "last.ckpt")
+    unfinished(mine, "begun")
+    (unfinished(mine, "broken") / "model.safetensors").write_bytes(b"damaged")
+    out = call("runs").out
+    trainings, runs = out.split("\n\n")
+    rows = {line.split()[0]: line for line in trainings.splitlines()[2:]}
+    finished = rows.pop(main_job.path("training").name)
+    assert "  finished  " in finished
+    assert commits_of([{"commit": commit()}])[:9] in finished
+    assert finished.endswith("  Ours / 0")
+    assert "  step 3 of 5" in rows.pop("half")
+    assert "  unfinished" in rows.pop("begun")
+    assert "  damaged" in rows.pop("broken")
+    assert not rows
+    (line,) = runs.splitlines()[2:]
+    assert line.startswith(main_job.path("run").name)
+    fscore = next(x for x in main_job.out.splitlines() if x.startswith("Ours ")).split()[-1]
+    assert line.endswith(f"  {fscore}    Ours / 0")
+
+
+def test_what_is_known_of_one(mine: Path, main_job: Result) -> None:
+    run, training = main_job.path("run").name, main_job.path("training").name
+    for name in (run, run.rpartition("-")[2], str(mine / "runs" / run)):
+        out = call("runs", "show", name).out
+        assert "room_2000000" in out
+        assert f'"checkpoint": "outputs/trainings/{training}/model.safetensors"' in out
+    out = call("runs", "show", training).out
+    assert '"command": "python -m tf_lab.train data.size=1 ' in out
+    assert "\nconfig:\n" in out
+
+
+def test_a_training_goes_with_its_evaluations(mine: Path, main_job: Result) -> None:
+    run, training = main_job.path("run"), main_job.path("training")
+    assert lines("rm", training.name) == [[f"removed {run}"], [f"removed {training}"]]
+    assert list(mine.glob("*/*")) == []
+
+
+def test_an_evaluation_goes_alone(mine: Path, main_job: Result) -> None:
+    run, training = main_job.path("run"), main_job.path("training")
+    assert lines("rm", str(run)) == [[f"removed {run}"]]
+    assert list(mine.glob("*/*")) == [mine / "trainings" / training.name]
+
+
+def test_what_is_in_use_is_not_removed(mine: Path, main_job: Result) -> None:
+    run, training = main_job.path("run"), main_job.path("training")
+    with held(run, "evaluates"):
+        result = call("runs", "rm", training.name)
+        assert "works on it" in call("runs").out
+    assert result.status == 2
+    assert result.err.startswith(f"error: {run}: process ")
+    assert (mine / "trainings" / training.name / "model.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("show", "nothing"), "error: nothing: no training or evaluation is called so in outputs"),
+        (("--output", "nowhere"), "error: nowhere: no trainings or evaluations in it"),
+        (("rm",), "rm: of which NAME?"),
+        (("list", "x"), "list: takes no NAME"),
+    ],
+)
+@pytest.mark.usefixtures("mine")
+def test_bad_words(arguments: tuple[str, ...], expected: str) -> None:
+    result = call("runs", *arguments)
+    assert result.status == 2
+    assert expected in result.err
+
+
+def test_as_a_process(mine: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tf_lab.runs", "--output", str(mine)], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"{mine / 'trainings'}:\nTRAINING ")
+
+
+def test_what_another_code_made_is_reused_and_said(
+    mine: Path,
+    main_job: Result,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    training = main_job.path("training")
+    reused = f"reusing the identical finished training {training}\n"
+    say_reused("training", training)
+    assert capsys.readouterr().out == reused
+    monkeypatch.setattr("tf_lab.study.reuse.code_version", lambda: "another")
+    say_reused("training", training)
+    first, note = capsys.readouterr().out.splitlines()
+    assert first + "\n" == reused
+    assert note.startswith(
+        f"note: another code made it (commit {commits_of([{'commit': commit()}])}"
+    )
+    assert note.endswith(f"to make it anew: python -m tf_lab.runs rm {training}")

@@ -1,0 +1,90 @@
+"""The sweeps of sweeps/: what they run, in which order, and that W&B's run the same."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from tf_lab.commands import conf_dir, plain
+from tf_lab.study.runs import row_label, run_directory, training_directory
+
+SWEEPS = Path(conf_dir()) / "sweep"
+# the rows of the paper's tables 1 and 2 that are ours, by the part of the label that is not
+MAIN = {
+    "",
+    "w/o TRSF, avg",
+    "w/o TRSF, pred",
+    "w/o spatial ref.",
+    "w/o C2F filter",
+    *(f"{k} images, RND" for k in (4, 8, 16)),
+    *(f"{k} images" for k in (4, 8)),
+}
+INPUTS = {"w/o projected depth", "w/o view ray"}
+
+
+def composed(*overrides: str, hydra: bool = False) -> Any:
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        return compose("train", overrides=list(overrides), return_hydra_config=hydra)
+
+
+def jobs(name: str) -> list[dict[str, Any]]:
+    """The configs of a sweep's jobs in the order in which they run."""
+    params = composed(f"sweep={name}", hydra=True).hydra.sweeper.params
+    parsed = OverridesParser.create().parse_overrides([f"{k}={v}" for k, v in params.items()])
+    (batch,) = BasicSweeper.split_arguments(parsed, None)
+    return [plain(composed(*overrides)) for overrides in batch]
+
+
+def rows(configs: list[dict[str, Any]]) -> set[tuple[str, int]]:
+    return {(row_label(c).removeprefix("Ours").removeprefix(": "), c["seed"]) for c in configs}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected", "trainings"),
+    [
+        ("main_ablation", MAIN, 5),
+        ("inputs", {"", *INPUTS}, 3),
+        ("views", {label for label in MAIN if "images" in label} | {""}, 1),
+        ("all", MAIN | INPUTS, 7),
+    ],
+)
+def test_a_sweep_is_a_table_or_chart_of_the_paper(
+    name: str, expected: set[str], trainings: int
+) -> None:
+    configs = jobs(name)
+    assert rows(configs) == {(label, seed) for label in expected for seed in (0, 1, 2)}
+    assert len({run_directory(c) for c in configs}) == len(configs) == 3 * len(expected)
+    assert len({training_directory(c) for c in configs}) == 3 * trainings
+    # of a seed, those that have to train come first: the others never wait while they could
+    first = [training_directory(c) for c in configs[: len(expected)]]
+    assert len(set(first[:trainings])) == trainings
+
+
+def test_every_sweep_is_tested() -> None:
+    assert {path.stem for path in SWEEPS.glob("*.yaml")} == {
+        "main_ablation",
+        "inputs",
+        "views",
+        "all",
+    }
+
+
+@pytest.mark.parametrize("path", sorted((SWEEPS / "wandb").glob("*.yaml")), ids=lambda p: p.stem)
+def test_wandb_sweeps_run_the_same(path: Path) -> None:
+    sweep = yaml.safe_load(path.read_text())
+    values = {key: parameter["values"] for key, parameter in sweep["parameters"].items()}
+    assert sweep["method"] == "grid"
+    assert sweep["command"][1:] == [
+        *("python", "-m", "tf_lab.train", "logger=wandb", "${args_no_hyphens}"),
+    ]
+    # the agent puts every parameter in as key=value
+    configs = [
+        plain(composed("logger=wandb", f"seed={seed}", f"row={row}"))
+        for seed in values["seed"]
+        for row in values["row"]
+    ]
+    assert [run_directory(c) for c in configs] == [run_directory(c) for c in jobs(path.stem)]
