@@ -144,7 +144,7 @@ def test_a_killed_sweep_goes_on_to_the_same_results(
     tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:
     """By processes of their own, and by the same command."""
-    sweep = [*TINY, "-m", "row=ours,views4", "optimizer.steps=40"]
+    sweep = ["-m", *TINY, "row=ours,views4", "optimizer.steps=40"]
     killed = [*sweep, f"output={tmp_path / 'killed'}"]
     training = training_directory(tiny_config("optimizer.steps=40", killed[-1]))
     kill(killed, training / "last.ckpt", environment())
@@ -165,7 +165,7 @@ def test_a_killed_sweep_goes_on_to_the_same_results(
 @pytest.mark.usefixtures("outputs")
 @pytest.mark.timeout(1800)
 def test_a_sweep_killed_twice_at_random_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
-    sweep = [*TINY, "-m", "row=ours,avg,no_ray", "optimizer.steps=40"]
+    sweep = ["-m", *TINY, "row=ours,avg,no_ray", "optimizer.steps=40"]
     rng = np.random.default_rng(int(time.time()))
     killed = [*sweep, f"output={tmp_path / 'killed'}"]
     for row in ("ours", "avg"):
@@ -191,7 +191,7 @@ def test_a_sweep_killed_twice_at_random_ends_as_an_undisturbed_one(tmp_path: Pat
 )
 def test_jobs_side_by_side(launcher: Sequence[str], tmp_path: Path) -> None:
     """Two jobs of one training: one trains, the other waits for it; one job fails."""
-    result = start("train", *TINY, "-m", "views=4,8,0", *launcher, cwd=tmp_path)
+    result = start("train", "-m", *TINY, "views=4,8,0", *launcher, cwd=tmp_path)
     assert result.status == 1
     scores = table(result)
     assert 0 <= float(scores["Ours: 4 images", 0]) <= 1
@@ -210,7 +210,7 @@ def test_jobs_side_by_side(launcher: Sequence[str], tmp_path: Path) -> None:
 def test_a_sweep_of_distributed_trainings(tmp_path: Path) -> None:
     """Each job starts its helpers, trains, tests and has a folder of its own."""
     ddp = ("trainer.devices=2", "trainer.strategy=ddp")
-    result = start("train", *TINY, "-m", "row=ours,avg", *ddp, cwd=tmp_path)
+    result = start("train", "-m", *TINY, "row=ours,avg", *ddp, cwd=tmp_path)
     assert result.status == 0, result.out + result.err
     assert [float(score) >= 0 for score in table(result).values()] == [True, True]
     for log in tmp_path.glob("outputs/sweeps/*/*/log.txt"):
