@@ -110,10 +110,12 @@ def held(directory: Path, work: str) -> Iterator[None]:
     except Timeout:
         print(f"waiting for {holder(directory)}, which {work} {directory}", flush=True)
         lock.acquire()
+    note = directory / ".holder"
     try:
-        (directory / ".holder").write_text(f"process {os.getpid()} on {socket.gethostname()}")
+        note.write_text(f"process {os.getpid()} on {socket.gethostname()}")
         yield
     finally:
+        note.unlink(missing_ok=True)
         lock.release()
 
 
