@@ -10,7 +10,8 @@ import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.types import RunMode
-from omegaconf import OmegaConf
+from omegaconf import OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
 
 CHOICES = "Choices (* those in use; the settings below are theirs):"
 SETTINGS = "Settings and their values (???: has to be given):"
@@ -47,12 +48,17 @@ def help_text(
         path = conf / f"{config.config_path}.yaml"
         if path.is_file():  # else it is one of Hydra's
             comments.update(_comments(path, config.package or ""))
-    values = OmegaConf.to_container(cfg)
+    with open_dict(cfg):
+        del cfg["hydra"]
+    try:
+        values = OmegaConf.to_container(cfg, resolve=True)
+    except OmegaConfBaseException:  # made of what has to be given
+        values = OmegaConf.to_container(cfg)
     assert isinstance(values, dict)
     settings = [
         (f"  {key}={value}", comments.get(key, ""))
         for key, value in sorted(_leaves(values), key=lambda leaf: "." in leaf[0])
-        if not is_within(key, ("hydra", *unused))
+        if not is_within(key, unused)
     ]
     parts = [about.strip()]
     parts += ["\n".join([CHOICES, *_columns(choices)])] if choices else []

@@ -106,7 +106,9 @@ class ChunkSampler:
         self, scenes: Sequence[Path], settings: ChunkSettings, near: float, far: float
     ) -> None:
         if not scenes:
-            raise TFLabError("there is no training scene; prepare the data first")
+            raise TFLabError(
+                "there is no training scene; data.size is 0, or all scenes are for val and test"
+            )
         self.scenes, self.settings = list(scenes), settings
         self.near, self.far = near, far
 
