@@ -45,7 +45,8 @@ def test_studies_are_kept_apart(tmp_path: Path) -> None:
     assert len(remarks) == 2
     assert all(len(line.splitlines()) == 1 for line in remarks)
     (one,) = [line for line in remarks if "optimizer.steps" in line]
-    assert "data.size 3 (not 24), optimizer.steps 7 (not 2000)" in one
+    size, steps = study.settings["data.size"], study.settings["optimizer.steps"]
+    assert f"data.size 3 (not {size}), optimizer.steps 7 (not {steps})" in one
     (two,) = [line for line in remarks if "resolution" in line]
     assert "1 runs, with test.resolution 0.04 (not 0.02)" in two
     # the one asked for, by the key that the remark gives
