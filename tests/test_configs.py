@@ -155,6 +155,8 @@ def test_the_wheel_has_configs_and_weights(tmp_path: Path) -> None:
     (wheel,) = tmp_path.glob("tf_lab-*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     expected = [f"tf_lab/conf/{p.relative_to(CONF)}" for p in CONF.rglob("*.yaml")]
+    expected += [f"tf_lab/conf/sweep/{p.name}" for p in (CONF / "sweep").glob("*.yaml")]
+    expected += ["tf_lab/conf/sweep/all.yaml", "tf_lab/conf/sweep/wandb/main_ablation.yaml"]
     weights = REPOSITORY / "src" / "tf_lab" / "weights"
     expected += [f"tf_lab/weights/{p.name}" for p in weights.glob("*") if p.is_file()]
     assert [name for name in expected if name not in names] == []

@@ -73,9 +73,8 @@ def test_every_sweep_is_tested() -> None:
     }
 
 
-@pytest.mark.parametrize("path", sorted((SWEEPS / "wandb").glob("*.yaml")), ids=lambda p: p.stem)
-def test_wandb_sweeps_run_the_same(path: Path) -> None:
-    sweep = yaml.safe_load(path.read_text())
+def test_wandbs_sweep_runs_the_same() -> None:
+    sweep = yaml.safe_load((SWEEPS / "wandb" / "main_ablation.yaml").read_text())
     values = {key: parameter["values"] for key, parameter in sweep["parameters"].items()}
     assert sweep["method"] == "grid"
     assert sweep["command"][1:] == [
@@ -87,4 +86,4 @@ def test_wandb_sweeps_run_the_same(path: Path) -> None:
         for seed in values["seed"]
         for row in values["row"]
     ]
-    assert [run_directory(c) for c in configs] == [run_directory(c) for c in jobs(path.stem)]
+    assert [run_directory(c) for c in configs] == [run_directory(c) for c in jobs("main_ablation")]
