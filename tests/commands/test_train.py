@@ -5,9 +5,11 @@ import json
 import math
 import threading
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import lightning as L
 import numpy as np
 import pytest
 import torch
@@ -20,7 +22,10 @@ from tiny_jobs import TINY, Result, call, start, tiny_config
 
 import tf_lab
 from tf_lab.checkpoint import load_network
+from tf_lab.data.datamodule import SceneDataModule
+from tf_lab.online.selection import make_policy
 from tf_lab.train import train as train_network
+from tf_lab.training import Training
 
 METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
 Train = Callable[..., Result]
@@ -129,17 +134,51 @@ def test_a_second_start_reuses_all(train: Train) -> None:
     assert row in second.out
 
 
-def test_seeds_differ_and_the_same_seed_does_not(
-    train: Train, checkpoint: Path, tmp_path: Path
+def test_the_same_seed_gives_the_same_weights_and_meshes(
+    train: Train, main_job: Result, outputs: Path, tmp_path: Path
 ) -> None:
-    again = train(f"output={tmp_path}").path("training") / "model.safetensors"
-    other = train("seed=1").path("training") / "model.safetensors"
-    first, second, third = (load_file(path) for path in (checkpoint, again, other))
-    assert first.keys() == second.keys() == third.keys()
-    for name, value in first.items():
-        # made by another process: the config alone determines the weights
-        torch.testing.assert_close(second[name], value, rtol=0, atol=1e-6, msg=name)
-    assert any(not torch.allclose(third[name], value, atol=1e-3) for name, value in first.items())
+    """To the bit, by another process in another folder."""
+    again = train(f"output={tmp_path}")
+    runs = (outputs.parent / main_job.path("run"), again.path("run"))
+    first, second = (run / "meshes" / "room_2000000.ply" for run in runs)
+    assert first.read_bytes() == second.read_bytes()
+    trainings = (outputs.parent / main_job.path("training"), again.path("training"))
+    weights = [load_file(training / "model.safetensors") for training in trainings]
+    assert weights[0].keys() == weights[1].keys()
+    assert [
+        name for name in weights[0] if not torch.equal(weights[0][name], weights[1][name])
+    ] == []
+
+
+@pytest.mark.usefixtures("outputs")
+def test_another_seed_changes_all_that_is_random(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Initialisation, chunks, which of a chunk's views are kept, and the reservoir."""
+    made: list[tuple[Training, SceneDataModule]] = []
+
+    def fit(trainer: L.Trainer, module: Training, data: SceneDataModule, **_: object) -> None:
+        made.append((module, data))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(L.Trainer, "fit", fit)
+    for seed in (0, 1, 0):
+        with pytest.raises(KeyboardInterrupt):
+            train_network(tiny_config(f"seed={seed}", "training.views=[1,2]"))
+    first, other, same = (
+        (
+            module.network.state_dict(),
+            [batch.world_T_cam for batch in islice(data.train_dataloader(), 3)],
+            [batch.keep.tolist() for batch in islice(data.train_dataloader(), 20)],
+            make_policy("random", module.test_settings.seed)._uniform(*lattice),
+        )
+        for module, data in made
+        for lattice in [(torch.arange(30).view(10, 3), torch.arange(10))]
+    )
+    torch.testing.assert_close(first, same, rtol=0, atol=0)
+    for one, two in zip(first, other, strict=True):
+        with pytest.raises(AssertionError):
+            torch.testing.assert_close(one, two, rtol=0, atol=0)
+    fixed = {name for name, value in first[0].items() if torch.equal(value, other[0][name])}
+    assert not {name for name in fixed if first[0][name].unique().numel() > 2}
 
 
 def test_a_training_waits_for_another_of_the_same_key(checkpoint: Path, tmp_path: Path) -> None:
