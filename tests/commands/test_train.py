@@ -22,7 +22,9 @@ from tiny_jobs import TINY, Result, call, start, tiny_config
 
 import tf_lab
 from tf_lab.checkpoint import load_network
+from tf_lab.configuration import optimizer_settings, test_settings
 from tf_lab.data.datamodule import SceneDataModule
+from tf_lab.datasets import training_chunks
 from tf_lab.online.selection import make_policy
 from tf_lab.train import train as train_network
 from tf_lab.training import Training
@@ -243,10 +245,39 @@ def test_two_processes_train_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("outputs")
+@pytest.mark.timeout(1800)
+def test_two_processes_learn_as_one_with_the_batch_of_both(tmp_path: Path) -> None:
+    """Up to what another seed changes; measured on the same batches, which neither trained on."""
+    ways = {
+        "untrained": ("training.chunks=2", "optimizer.lr=0"),
+        "one": ("training.chunks=2",),
+        "one, another seed": ("training.chunks=2", "seed=1"),
+        "two": ("training.chunks=1", "trainer.devices=2", "trainer.strategy=ddp"),
+    }
+    config = tiny_config("training.chunks=2")
+    batches = list(islice(training_chunks(config).stream(99, 0, 0, 1), 30))
+    losses = {}
+    for name, way in ways.items():
+        steps = 1 if name == "untrained" else 200
+        result = start("train", *TINY, f"optimizer.steps={steps}", *way, cwd=tmp_path)
+        assert result.status == 0, result.err
+        network, _ = load_network(tmp_path / result.path("training") / "model.safetensors")
+        module = Training(network, optimizer_settings(config), 0.5, test_settings(config))
+        with torch.no_grad():
+            losses[name] = np.mean([module.training_step(batch, 0).item() for batch in batches])
+    learned = losses["untrained"] - losses["one"]
+    noise = max(abs(losses["one, another seed"] - losses["one"]), 0.05 * learned)
+    assert learned > 0.1 * losses["untrained"]
+    assert abs(losses["two"] - losses["one"]) < 2 * noise
+
+
+@pytest.mark.slow
 def test_wandb_offline(train: Train, tmp_path: Path) -> None:
     result = train("logger=wandb_offline", f"output={tmp_path}")
     assert result.status == 0
-    assert list((result.path("training") / "wandb").glob("offline-run-*/*.wandb"))
+    for directory in (result.path("training"), result.path("run")):  # losses, scores
+        assert list((directory / "wandb").glob("offline-run-*/*.wandb"))
 
 
 def test_bf16_and_a_worker_process(train: Train, tmp_path: Path) -> None:
