@@ -81,6 +81,7 @@ def _size(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
         "rooms",
         "ms a frame",
         "voxels in view",
+        "us a voxel",
         "voxels seen",
         "voxels in the box",
         "view sets MiB",
@@ -91,7 +92,8 @@ def _size(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
         [
             f"{x['rooms']}",
             f"{x['ms a frame']:.2f}",
-            f"{x['voxels a frame']:.0f}",
+            f"{x['voxels in view']:.0f}",
+            f"{x['us a voxel in view']:.2f}",
             f"{x['voxels seen']}",
             f"{x['voxels in the bounding box']}",
             f"{x['memory']['view sets'] / MIB:.1f}",
@@ -181,7 +183,7 @@ def _growth(axes: Any, sizes: Sequence[Mapping[str, Any]]) -> None:
     """How cost and memory grow with the scene, relative to the smallest."""
     rooms = [x["rooms"] for x in sizes]
     for label, marker, values in (
-        ("time a frame", "o-", [x["ms a frame"] for x in sizes]),
+        ("time a voxel in view", "o-", [x["us a voxel in view"] for x in sizes]),
         ("memory of view sets", "s-", [x["memory"]["view sets"] for x in sizes]),
         ("voxels seen", "^--", [x["voxels seen"] for x in sizes]),
     ):

@@ -84,15 +84,17 @@ def ratios(found: Mapping[str, Any]) -> dict[str, float]:
     """What can be compared between machines."""
     frame, floor, most = found["frame"], found["floor"], found["views"]
     lazy = frame[f"lazy {most}"]
-    costs = {"rooms": found["size"], "frames": found["count"]}
     out = {
         "lazy frame over its floor": lazy["total"] / floor["lazy"]["total"]["ms"],
         "chunk over its floor": found["chunk"]["total"] / floor["chunk"]["total"]["ms"],
         "filter, lazy": _fusion(frame[f"lazy {most} without filter"]) / _fusion(lazy),
     }
-    for name, cost in costs.items():
-        ratio = cost[-1]["ms a frame"] / cost[0]["ms a frame"]
-        out[f"frame cost, {cost[-1][name]} {name} over {cost[0][name]}"] = ratio
+    for what, name, few, many in (
+        ("us a voxel in view", "rooms", found["size"][0], found["size"][-1]),
+        ("ms a frame", "rooms", found["size"][0], found["size"][-1]),
+        ("ms a frame", "frames", found["count"][0], found["count"][-1]),
+    ):
+        out[f"{what}, {many[name]} {name} over {few[name]}"] = many[what] / few[what]
     if "eager" in floor:
         eager = frame[f"eager {most}"]
         out["eager fusion over lazy"] = _fusion(eager) / _fusion(lazy)
