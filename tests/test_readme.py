@@ -37,7 +37,9 @@ def test_the_notebooks_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_every_command_has_a_config_that_takes_its_words(command: str) -> None:
     module, *words = shlex.split(command)
     name = module.removeprefix("tf_lab.")
-    assert (REPOSITORY / "src" / "tf_lab" / f"{name}.py").is_file()
+    source = (REPOSITORY / "src" / "tf_lab" / f"{name}.py").read_text()
+    if "argparse" in source:  # no config: `runs`
+        return
     given = [w.replace("=NAME", "=captures").split(",")[0] for w in words if not w.startswith("-")]
     with initialize_config_dir(conf_dir(), version_base="1.3"):
         compose(name, [] if given == ["..."] else given)
