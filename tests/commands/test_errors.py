@@ -254,7 +254,7 @@ def test_a_corrupt_room_in_the_cache(
     workers: int,
 ) -> None:
     root = Path(shutil.copytree(cache, tmp_path / "cache"))
-    (room,) = root.glob(f"rooms-*/{split}/*")
+    (room,) = root.glob(f"rooms-*/{split}/room_*")
     named = damage(room)
     # a test room is met by an evaluation only: with the training that is there, and K of its own
     output = "outputs" if split == "train" else str(outputs)

@@ -56,7 +56,8 @@ def test_a_killed_training_ends_with_the_weights_of_an_undisturbed_one(tmp_path:
     undisturbed = train_network(tiny_config(*STEPS, f"output={tmp_path / 'undisturbed'}"))
     expected = load_file(undisturbed)
     for name, value in load_file(directory / "model.safetensors").items():
-        torch.testing.assert_close(value, expected[name], rtol=0, atol=1e-6, msg=name)
+        if not name.endswith("key.bias"):  # softmax cancels it: its gradient is rounding alone
+            torch.testing.assert_close(value, expected[name], rtol=0, atol=1e-6, msg=name)
     with (directory / "logs" / "version_1" / "metrics.csv").open() as file:
         steps = [int(row["step"]) for row in csv.DictReader(file)]
     assert min(steps) >= saved  # it went on, and did not start again

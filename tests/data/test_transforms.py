@@ -64,7 +64,7 @@ def test_the_folder_and_the_file_are_the_same_capture(tmp_path: Path) -> None:
     np.testing.assert_array_equal(a.world_T_cam, b.world_T_cam)
     (folder / "transforms.json").rename(folder / "transforms_train.json")
     assert open_capture(folder / "transforms_train.json", gravity=[0, 0, -1]).frames == ["0"]
-    with pytest.raises(TFLabError, match="no known layout"):
+    with pytest.raises(TFLabError, match="no poses"):
         open_capture(folder)
 
 

@@ -187,7 +187,7 @@ def test_a_file_of_weights(tmp_path: Path, suffix: str) -> None:
 
 def test_the_shipped_file(tmp_path: Path) -> None:
     encoder, path = Encoder(**SMALL), tmp_path / "rooms.safetensors"
-    with pytest.raises(TFLabError, match=r"rooms\.safetensors is not shipped"):
+    with pytest.raises(TFLabError, match=r"rooms\.safetensors does not ship"):
         load_encoder_weights(encoder, "rooms", path)
     state = noise(encoder)
     save_file(state, path)

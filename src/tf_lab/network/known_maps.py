@@ -40,7 +40,7 @@ class KnownMaps:
             for j, i in enumerate(new):
                 found[keys[i]] = {level: maps[level][j].half() for level in LEVELS}
                 self._keep(keys[i], found[keys[i]])
-        return {level: torch.stack([found[key][level] for key in keys]).float() for level in LEVELS}
+        return {level: torch.stack([found[key][level].float() for key in keys]) for level in LEVELS}
 
     def _keep(self, key: int, maps: dict[str, Tensor]) -> None:
         size = sum(m.nbytes for m in maps.values())
