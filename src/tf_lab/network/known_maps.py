@@ -11,8 +11,10 @@ from tf_lab.network.network import LEVELS, Network
 class KnownMaps:
     """Encodes an image once: two thirds of a training step on a CPU is the encoder's.
 
-    Images are known by their content. Maps are kept in half precision, and used so from the first
-    time, so that results do not depend on what is kept. Images on a GPU are encoded every time:
+    Images are known by their content. Results do not depend on what is kept, so that a resumed
+    training goes on as if never stopped: maps are kept in half precision and used so from the
+    first time, and each image is encoded by itself, as rounding depends on the batch. Images on a
+    GPU are encoded every time:
     that is faster than fetching maps from the host.
 
     Args:
@@ -36,9 +38,9 @@ class KnownMaps:
         new = [i for i, key in enumerate(keys) if key not in self._known]
         found = {key: self._known[key] for key in keys if key in self._known}
         if new:
-            maps = self.network.encode(images[new])
-            for j, i in enumerate(new):
-                found[keys[i]] = {level: maps[level][j].half() for level in LEVELS}
+            for i in new:
+                maps = self.network.encode(images[i : i + 1])
+                found[keys[i]] = {level: maps[level][0].half() for level in LEVELS}
                 self._keep(keys[i], found[keys[i]])
         return {level: torch.stack([found[key][level].float() for key in keys]) for level in LEVELS}
 
