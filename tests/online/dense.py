@@ -20,6 +20,7 @@ from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
 from tf_lab.isosurface import mesh_of
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
+from tf_lab.network.tokens import measure
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.settings import DTYPES, ReconstructionSettings
@@ -30,6 +31,20 @@ LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
 
 
 Decode = Callable[[Tensor], Tensor]
+
+
+def embed(
+    network: Network,
+    level: str,
+    maps: Tensor,
+    points: Tensor,
+    K: Tensor,
+    world_T_cam: Tensor,
+    size: tuple[int, int],
+) -> Tensor:
+    """Tokens [N, P, D] of points [P, 3] in views with maps [N, C, h, w]."""
+    depth_range = (network.config.near, network.config.far)
+    return network.tokens[level](*measure(maps, points, K, world_T_cam, size, depth_range))
 
 
 @dataclass
@@ -184,7 +199,7 @@ class DenseReconstructor:
         logits = None
         if self.policy.needs_weights:
             maps = self.maps[frame][level][None]
-            tokens, _ = self.network.embed(level, maps, points[voxels], K, pose, self.size)
+            tokens = embed(self.network, level, maps, points[voxels], K, pose, self.size)
             logits = self.network.selection_logits(level, tokens[0])
         keys = (points[voxels] / LATTICE).round().long()
         store.add(frame, voxels, keys, logits)
@@ -219,7 +234,8 @@ class DenseReconstructor:
             if frame < 0:
                 continue
             row, slot = (frames == frame).nonzero(as_tuple=True)
-            embedded, _ = self.network.embed(
+            embedded = embed(
+                self.network,
                 level,
                 self.maps[frame][level][None],
                 points[index[row]],

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from online.dense import embed
 from online.scenes import Factory, assert_same_surface, balanced, reconstruct, settings_of
 from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.data.scene import Scene
@@ -47,7 +48,7 @@ def brute_force(
         if not network.visible(point[None], intrinsics, camera, size).any():
             continue
         maps = network.encode(torch.from_numpy(image).permute(2, 0, 1)[None])["coarse"]
-        token = network.embed("coarse", maps, point[None], intrinsics, camera, size)[0]
+        token = embed(network, "coarse", maps, point[None], intrinsics, camera, size)
         if len(held) == views:
             tokens = torch.stack([t for _, t in held], 1)
             weights = network.fuse("coarse", tokens, None)[1][0]  # the whole first block

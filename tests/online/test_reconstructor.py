@@ -9,7 +9,7 @@ import trimesh
 from torch import Tensor
 
 import box_room
-from online.dense import DenseReconstructor
+from online.dense import DenseReconstructor, embed
 from online.scenes import (
     FRAMES,
     Factory,
@@ -51,7 +51,7 @@ def fuse_by_hand(
         pose = torch.from_numpy(scene.world_T_cam[frame]).float()[None]
         maps = network.encode(image)[level]
         p = torch.from_numpy(point).float()[None]
-        token = network.embed(level, maps, p, k, pose, scene.size)[0][0, 0]
+        token = embed(network, level, maps, p, k, pose, scene.size)[0, 0]
         if len(kept) == views:
             logits = torch.stack([logit for _, logit in kept])
             weights = (logits.exp() / logits.exp().sum(0)).mean(1)

@@ -15,7 +15,7 @@ from tf_lab.network.encoder import Encoder, normalise_images
 from tf_lab.network.fusion import STRATEGIES, Fusion, weights_from_logits
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
-from tf_lab.network.tokens import Tokens, measure
+from tf_lab.network.tokens import Measurements, Tokens, measure
 
 LEVELS = ("coarse", "fine")
 
@@ -111,32 +111,6 @@ class Network(nn.Module):
         coarse, fine = self.encoder(x)
         return {"coarse": coarse, "fine": fine}
 
-    def embed(
-        self,
-        level: str,
-        maps: Tensor,
-        points: Tensor,
-        K: Tensor,
-        world_T_cam: Tensor,
-        size: tuple[int, int],
-    ) -> tuple[Tensor, Tensor]:
-        """Tokens of points in views.
-
-        Args:
-            level: "coarse" or "fine".
-            maps: [N, C, h, w] of that level.
-            points: [P, 3] or [N, P, 3], metres.
-            K: [N, 3, 3].
-            world_T_cam: [N, 4, 4].
-            size: (width, height) of the images, pixels.
-
-        Returns:
-            Tokens [N, P, D] and their validity [N, P].
-        """
-        depth_range = (self.config.near, self.config.far)
-        phi, depth, valid, ray = measure(maps, points, K, world_T_cam, size, depth_range)
-        return self.tokens[level](phi, depth, valid, ray), valid
-
     def fuse(self, level: str, tokens: Tensor, slots: Tensor | None) -> tuple[Tensor, Tensor]:
         """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
         return self.fusion[level](tokens, slots)
@@ -181,17 +155,18 @@ class Network(nn.Module):
         if maps is None:
             maps = self.encode(images.flatten(0, 1))
         maps = {level: m.unflatten(0, (B, V)) for level, m in maps.items()}
+        depth_range = (self.config.near, self.config.far)
 
         def fuse(level: str, where: list[Tensor]) -> tuple[Tensor, Tensor]:
             """Fused features of points [P_b, 3] of every chunk, and whether a view sees them."""
             chunks = [
-                self.embed(level, maps[level][b], where[b], K[b], world_T_cam[b], size)
+                measure(maps[level][b], where[b], K[b], world_T_cam[b], size, depth_range)
                 for b in range(B)
             ]
-            tokens = torch.cat([t.transpose(0, 1) for t, _ in chunks])
-            valid = torch.cat([v.T for _, v in chunks])
-            kept, slots = self.keep_views(level, tokens, valid, keep, ranked)
-            return self.fuse(level, kept, slots)[0], valid.any(1)
+            parts = zip(*chunks, strict=True)
+            measured = Measurements(*(torch.cat([m.transpose(0, 1) for m in p]) for p in parts))
+            kept, slots = self.keep_views(level, measured, keep, ranked)
+            return self.fuse(level, self.tokens[level](*kept), slots)[0], measured.valid.any(1)
 
         def seen(where: Tensor, b: int) -> Tensor:
             return self.visible(where, K[b], world_T_cam[b], size).any(0)
@@ -233,32 +208,38 @@ class Network(nn.Module):
         return seen & (near if target is None else near | target)
 
     def keep_views(
-        self, level: str, tokens: Tensor, valid: Tensor, keep: int | None, ranked: bool
-    ) -> tuple[Tensor, Tensor | None]:
+        self, level: str, measured: Measurements, keep: int | None, ranked: bool
+    ) -> tuple[Measurements, Tensor | None]:
         """The measurements that voxels keep in training: what the view store does at test time.
 
         Args:
             level: "coarse" or "fine".
-            tokens: [P, V, D].
-            valid: bool [P, V].
+            measured: of points in views, [P, V, ...].
             keep: K_t; None keeps everything.
             ranked: by attention weight, if the fusion has a preference; else the first ones.
 
         Returns:
-            Tokens [P, K_t, D] and which of them are filled, bool [P, K_t]; None: all.
+            Measurements [P, K_t, ...] and which slots are filled, bool [P, K_t]; None: all.
         """
         if keep is None:
-            return tokens, None
+            return measured, None
+        valid = measured.valid
         score = torch.arange(valid.shape[1], 0, -1, device=valid.device).expand(valid.shape)
         if ranked:
             with torch.no_grad():
-                logits = self.selection_logits(level, tokens)
+                logits = self.selection_logits(level, self.tokens[level](*measured))
             if logits is not None:
                 score = weights_from_logits(logits, valid)
         score = score.float().masked_fill(~valid, -1.0)
         best = score.topk(min(keep, valid.shape[1]), dim=1).indices
-        kept = tokens.gather(1, best[..., None].expand(-1, -1, tokens.shape[-1]))
-        return kept, valid.gather(1, best)
+        index = best.unsqueeze(-1)
+        kept = Measurements(
+            torch.take_along_dim(measured.phi, index, dim=1),
+            measured.depth.gather(1, best),
+            valid.gather(1, best),
+            torch.take_along_dim(measured.ray, index, dim=1),
+        )
+        return kept, kept.valid
 
     def decode(
         self,

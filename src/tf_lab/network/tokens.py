@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
 from tf_lab.geometry import in_view, invert_pose, project, sample_maps, view_rays
 
 DEPTH_CENTER, DEPTH_SCALE = 2.0, 1.5  # metres; brings 0.3..5 m to about -1..2
+
+
+class Measurements(NamedTuple):
+    """What `Tokens` embeds.
+
+    Attributes:
+        phi: [..., C] sampled features; read as zero where invalid.
+        depth: [...] camera-space depth in metres.
+        valid: [...] bool, the projection lies on the image.
+        ray: [..., 3] unit rays.
+    """
+
+    phi: Tensor
+    depth: Tensor
+    valid: Tensor
+    ray: Tensor
 
 
 class Tokens(nn.Module):
@@ -28,17 +46,7 @@ class Tokens(nn.Module):
             nn.init.eye_(self.linear.weight[:, :features])
 
     def forward(self, phi: Tensor, depth: Tensor, valid: Tensor, ray: Tensor) -> Tensor:
-        """Embed measurements.
-
-        Args:
-            phi: [..., C] sampled features; set to zero where invalid.
-            depth: [...] camera-space depth in metres.
-            valid: [...] bool, the projection lies on the image.
-            ray: [..., 3] unit rays.
-
-        Returns:
-            [..., D].
-        """
+        """Embed measurements, see `Measurements`: [..., D]."""
         v = valid.unsqueeze(-1).to(phi.dtype)
         parts = [phi * v, v]
         if self.depth:
@@ -55,8 +63,8 @@ def measure(
     world_T_cam: Tensor,
     size: tuple[int, int],
     depth_range: tuple[float, float],
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Project points into views and sample their maps: what `Tokens` embeds.
+) -> Measurements:
+    """Project points into views and sample their maps.
 
     Args:
         maps: [N, C, h, w].
@@ -71,4 +79,4 @@ def measure(
     """
     uv, depth = project(points, K, invert_pose(world_T_cam))
     valid = in_view(uv, depth, size, *depth_range)
-    return sample_maps(maps, uv, size), depth, valid, view_rays(points, world_T_cam)
+    return Measurements(sample_maps(maps, uv, size), depth, valid, view_rays(points, world_T_cam))
