@@ -63,11 +63,12 @@ def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     log = folder / "log.txt"
-    record: dict[str, Any] = {"job": hydra.job.num, "row": row, "seed": seed, "log": str(log)}
+    record: dict[str, Any] = {"job": hydra.job.num, "row": row, "seed": seed}
     run = find()
     if run is not None:
         say_reused("evaluation", run)
     else:
+        record["log"] = str(log)
         write_json(folder / RECORD, {**record, "failed": "ended with the sweep"})
         print(f"job {hydra.job.num}: {row}, seed {seed}; log: {log}", flush=True)
         alone = hydra.launcher._target_.endswith(".BasicLauncher")

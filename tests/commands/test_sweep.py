@@ -65,6 +65,12 @@ def records(output: Path) -> dict[str, dict[str, object]]:
     return found
 
 
+def logs(output: Path) -> list[bool]:
+    """Whether the log that a job's record names is there, of all jobs that name one."""
+    jobs = [json.loads(path.read_text()) for path in output.glob("sweeps/*/*/job.json")]
+    return [Path(job["log"]).is_file() for job in jobs if "log" in job]
+
+
 def test_a_sweep_of_six_trains_once(
     train: Train, tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:
@@ -82,6 +88,7 @@ def test_a_sweep_of_six_trains_once(
     assert again.out.count("reusing the identical finished evaluation") == 6
     assert table(again) == table(result)
     assert {row for row, _ in table(again)} == labels
+    assert logs(tmp_path) == [True] * 6  # what is reused has none
     for run in runs:
         metrics = json.loads((run / "metrics.json").read_text())
         assert table(again)[metrics["label"], 0] == f"{metrics['mean']['fscore']:.3f}"
