@@ -6,9 +6,11 @@ itself be several processes (DDP).
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +25,7 @@ from omegaconf import DictConfig
 
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
+from tf_lab.overrides import JOB
 from tf_lab.processes import end_with
 from tf_lab.study.reuse import say_reused
 from tf_lab.testing import read_metrics
@@ -36,19 +39,27 @@ LAUNCHERS = {
 }
 
 
-def check_launcher() -> None:
-    """That the package of the launcher on the command line is there.
+def check_launcher(words: argparse.Namespace) -> None:
+    """That the command line asks for one sweep at most, and for a launcher that works here.
 
     Raises:
-        TFLabError: it is not.
+        TFLabError: it does not.
     """
+    for word in words.overrides:
+        if word.startswith("sweep=") and "," in word:
+            raise TFLabError(f"{word}: one sweep at a time; sweep=all has every row")
     for name, package in LAUNCHERS.items():
-        if f"launcher={name}" in sys.argv:
+        if f"launcher={name}" in words.overrides:
             try:
                 importlib.metadata.version(package)
             except importlib.metadata.PackageNotFoundError:
                 message = f"launcher={name} needs a package more: pip install {package}"
                 raise TFLabError(message) from None
+    starts = words.cfg is None and JOB not in words.overrides  # a job may see no srun
+    if starts and "launcher=slurm" in words.overrides and shutil.which("srun") is None:
+        raise TFLabError(
+            "launcher=slurm: there is no srun here; start it on the cluster's login node"
+        )
 
 
 def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -> None:
@@ -89,7 +100,7 @@ def single_run(hydra: HydraConf) -> list[str]:
         *(f"--config-dir={source.path}" for source in sources),
         *overrides,
         *hydra.overrides.task,
-        "hydra.mode=RUN",
+        JOB,
     ]
 
 

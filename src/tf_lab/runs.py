@@ -35,6 +35,7 @@ from tf_lab.testing import read_metrics
 def main() -> None:
     """List, show or remove."""
     parser = argparse.ArgumentParser(
+        prog="python -m tf_lab.runs",
         usage=__doc__.splitlines()[2],
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
