@@ -15,16 +15,18 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
+from tf_lab.gpus import one_gpu
 from tf_lab.overrides import JOB
 from tf_lab.processes import end_with
 from tf_lab.study.reuse import say_reused
@@ -84,12 +86,19 @@ def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -
         print(f"job {hydra.job.num}: {row}, seed {seed}; log: {log}", flush=True)
         alone = hydra.launcher._target_.endswith(".BasicLauncher")
         prefix = "" if alone else f"{hydra.job.num}: "
-        status = _run([sys.executable, "-m", module, *single_run(hydra)], log, prefix)
+        with one_gpu() if _shares_gpus(hydra) else nullcontext():
+            status = _run([sys.executable, "-m", module, *single_run(hydra)], log, prefix)
         run = find()
         if status != 0 or run is None:
             record["failed"] = _reason(status)
     metrics = read_metrics(run) if run is not None else None
     write_json(folder / RECORD, {**record, "fscore": metrics and metrics["mean"]["fscore"]})
+
+
+def _shares_gpus(hydra: Any) -> bool:
+    """Whether jobs run side by side on one machine, and each on one device."""
+    devices = OmegaConf.select(hydra, "..trainer.devices")  # of the whole config
+    return hydra.launcher._target_.endswith(".JoblibLauncher") and devices == 1
 
 
 def single_run(hydra: HydraConf) -> list[str]:

@@ -1,6 +1,7 @@
 """Sweeps: trained once, every job a process of its own, restartable, with a table at the end."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from tiny_jobs import TINY, Result, call, environment, start, tiny_config
 from tf_lab.checkpoint import read_info
 from tf_lab.commands import conf_dir, plain
 from tf_lab.files import holder
+from tf_lab.overrides import JOB
 from tf_lab.study.runs import training_directory
 
 Train = Callable[..., Result]
@@ -124,6 +126,44 @@ def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.Mo
     assert [(c["seed"], c["fusion"]["strategy"]) for c in composed] == [
         *((3, "avg"), (3, "transformer"), (4, "avg"), (4, "transformer")),
     ]
+
+
+@pytest.mark.parametrize(
+    ("given", "seen"),
+    [
+        (("launcher=local",), "0"),
+        (("launcher=local", "trainer.devices=auto"), None),
+        (("launcher=local", "trainer=ddp"), None),
+        ((), None),
+    ],
+)
+def test_jobs_of_a_machine_see_one_gpu_each(
+    given: tuple[str, ...],
+    seen: str | None,
+    train: Train,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Unless they run on several, or one after the other."""
+    found = []
+
+    def run(command: Sequence[str], log: Path, prefix: str) -> int:
+        found.append(os.environ.get("CUDA_VISIBLE_DEVICES"))
+        return 0
+
+    monkeypatch.setattr("tf_lab.jobs._run", run)
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    alone = ("hydra.launcher.n_jobs=1",) if given else ()  # joblib then works in this process
+    train("-m", "seed=5,6", *given, *alone, f"output={tmp_path}")
+    assert found == [seen, seen]
+
+
+def test_a_jobs_process_takes_the_launchers_words(train: Train) -> None:
+    result = train("launcher=local", "launcher.jobs=2", "sweep=views", JOB)
+    assert (result.status, result.err) == (0, "")
+    assert "reusing the identical finished evaluation" in result.out
 
 
 def kill(
