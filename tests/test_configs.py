@@ -37,7 +37,8 @@ NEEDED = {"data=captures": "data.root=captures", "data=shards": "data.urls=shard
 @pytest.fixture
 def any_launcher() -> None:
     """Ray's launcher pins old packages, so that it is not installed with the tests."""
-    ConfigStore.instance().store(group="hydra/launcher", name="ray", node={"_target_": "ray"})
+    node = {"_target_": "ray", "ray": {"init": {"address": None}, "remote": {}}}  # as its own
+    ConfigStore.instance().store(group="hydra/launcher", name="ray", node=node)
 
 
 @pytest.mark.usefixtures("any_launcher")
@@ -48,6 +49,14 @@ def test_every_option_composes_and_is_accepted(option: str) -> None:
     configuration.optimizer_settings(config)
     configuration.test_settings(config)
     assert isinstance(config["seed"], int)
+
+
+@pytest.mark.usefixtures("any_launcher")
+def test_ray_is_told_what_a_job_needs() -> None:
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        words = ["launcher=ray", "launcher.cpus=4"]
+        launcher = plain(compose("train", words, return_hydra_config=True).hydra.launcher)
+    assert launcher["ray"] == {"init": {"address": None}, "remote": {"num_gpus": 1, "num_cpus": 4}}
 
 
 def test_the_groups_of_the_contract_exist() -> None:

@@ -1,6 +1,5 @@
 """The process of a sweep's job: its output, how it ended, and that it ends with the sweep."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -8,9 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+from hydra._internal.utils import get_args_parser
 
 from tf_lab import jobs
 from tf_lab.errors import TFLabError
+from tf_lab.overrides import JOB
 
 WAIT = "import time; print('started', flush=True); time.sleep(60)"
 
@@ -107,9 +108,21 @@ def test_a_table_of_all_jobs() -> None:
 
 def test_a_launcher_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(jobs.LAUNCHERS, "slurm", "no-such-package")
-    monkeypatch.setattr(sys, "argv", ["train", "launcher=slurm"])
     with pytest.raises(TFLabError, match=r"launcher=slurm .* pip install no-such-package"):
-        jobs.check_launcher()
-    monkeypatch.setattr(sys, "argv", ["train", "launcher=local"])
-    jobs.check_launcher()
-    assert os.environ.get(jobs.PARENT) is None
+        check("launcher=slurm")
+    check("launcher=local")
+
+
+def check(*words: str) -> None:
+    jobs.check_launcher(get_args_parser().parse_args(words))
+
+
+def test_slurms_launcher_needs_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(TFLabError, match=r"^launcher=slurm: .* no srun here; start it on the "):
+        check("-m", "launcher=slurm", "views=4,8")
+    check("-m", "hydra/launcher=submitit_local", "views=4,8")
+    check("--cfg=job", "launcher=slurm")
+    check("launcher=slurm", JOB)  # in a container on a node
+    (tmp_path / "srun").touch(mode=0o755)
+    check("-m", "launcher=slurm", "views=4,8")

@@ -38,7 +38,9 @@ def conf_dir() -> str:
 
 
 def command(
-    config_name: str, unused: Sequence[str] = (), before: Callable[[], None] = lambda: None
+    config_name: str,
+    unused: Sequence[str] = (),
+    before: Callable[[argparse.Namespace], None] = lambda words: None,
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
     """`hydra.main` on the shipped configs, with every error as one line and exit status 2.
 
@@ -47,7 +49,7 @@ def command(
     Args:
         config_name: of the root config.
         unused: settings (or groups of them) of its groups that the command does not read.
-        before: checks what Hydra would not say in one line.
+        before: checks on the command line what Hydra would not say in one line.
     """
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
@@ -80,7 +82,7 @@ def command(
                     conf = Path(conf_dir())
                     print(help_text(conf, config_name, about, words.overrides, unused))
                 else:
-                    before()
+                    before(words)
                     run()
             except (HydraException, OmegaConfBaseException, TFLabError) as error:
                 _tell(overrides.explain(error, Path(conf_dir()), config_name))

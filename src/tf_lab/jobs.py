@@ -6,23 +6,28 @@ itself be several processes (DDP).
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
+from tf_lab.gpus import one_gpu
+from tf_lab.overrides import JOB
 from tf_lab.processes import end_with
 from tf_lab.study.reuse import say_reused
 from tf_lab.testing import read_metrics
@@ -36,19 +41,27 @@ LAUNCHERS = {
 }
 
 
-def check_launcher() -> None:
-    """That the package of the launcher on the command line is there.
+def check_launcher(words: argparse.Namespace) -> None:
+    """That the command line asks for one sweep at most, and for a launcher that works here.
 
     Raises:
-        TFLabError: it is not.
+        TFLabError: it does not.
     """
+    for word in words.overrides:
+        if word.startswith("sweep=") and "," in word:
+            raise TFLabError(f"{word}: one sweep at a time; sweep=all has every row")
     for name, package in LAUNCHERS.items():
-        if f"launcher={name}" in sys.argv:
+        if f"launcher={name}" in words.overrides:
             try:
                 importlib.metadata.version(package)
             except importlib.metadata.PackageNotFoundError:
                 message = f"launcher={name} needs a package more: pip install {package}"
                 raise TFLabError(message) from None
+    starts = words.cfg is None and JOB not in words.overrides  # a job may see no srun
+    if starts and "launcher=slurm" in words.overrides and shutil.which("srun") is None:
+        raise TFLabError(
+            "launcher=slurm: there is no srun here; start it on the cluster's login node"
+        )
 
 
 def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -> None:
@@ -63,21 +76,29 @@ def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     log = folder / "log.txt"
-    record: dict[str, Any] = {"job": hydra.job.num, "row": row, "seed": seed, "log": str(log)}
+    record: dict[str, Any] = {"job": hydra.job.num, "row": row, "seed": seed}
     run = find()
     if run is not None:
         say_reused("evaluation", run)
     else:
+        record["log"] = str(log)
         write_json(folder / RECORD, {**record, "failed": "ended with the sweep"})
         print(f"job {hydra.job.num}: {row}, seed {seed}; log: {log}", flush=True)
         alone = hydra.launcher._target_.endswith(".BasicLauncher")
         prefix = "" if alone else f"{hydra.job.num}: "
-        status = _run([sys.executable, "-m", module, *single_run(hydra)], log, prefix)
+        with one_gpu() if _shares_gpus(hydra) else nullcontext():
+            status = _run([sys.executable, "-m", module, *single_run(hydra)], log, prefix)
         run = find()
         if status != 0 or run is None:
             record["failed"] = _reason(status)
     metrics = read_metrics(run) if run is not None else None
     write_json(folder / RECORD, {**record, "fscore": metrics and metrics["mean"]["fscore"]})
+
+
+def _shares_gpus(hydra: Any) -> bool:
+    """Whether jobs run side by side on one machine, and each on one device."""
+    devices = OmegaConf.select(hydra, "..trainer.devices")  # of the whole config
+    return hydra.launcher._target_.endswith(".JoblibLauncher") and devices == 1
 
 
 def single_run(hydra: HydraConf) -> list[str]:
@@ -88,7 +109,7 @@ def single_run(hydra: HydraConf) -> list[str]:
         *(f"--config-dir={source.path}" for source in sources),
         *overrides,
         *hydra.overrides.task,
-        "hydra.mode=RUN",
+        JOB,
     ]
 
 

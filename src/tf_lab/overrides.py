@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from tf_lab.errors import TFLabError
 from tf_lab.usage import is_within
 
+JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
 OF_ANY_TYPE = ("trainer.devices",)  # a number, a list or "auto"
 
 
@@ -44,6 +46,8 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
             raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
         if name in OF_ANY_TYPE or override.is_add() or override.is_delete():
             continue
+        if name == "launcher" and JOB not in sys.argv:
+            raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
         wanted = _wanted(_value(cfg, name), _value(defaults, name))
         if wanted is not None:
             raise TFLabError(f"{override.input_line}: must be {wanted}")

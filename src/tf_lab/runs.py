@@ -1,8 +1,9 @@
 """What trainings and evaluations there are, how far they are, who made them; and removing them.
 
-python -m tf_lab.runs [list | show NAME | rm NAME...] [--output DIR]
+python -m tf_lab.runs [list | show NAME... | rm [--dry-run] NAME...] [output=DIR]
 
-A NAME is a directory's, or the key at its end. With a training go its evaluations.
+A NAME is a directory, its name, or the key at the name's end. With a training go its evaluations;
+--dry-run only says what would go.
 """
 
 from __future__ import annotations
@@ -17,7 +18,16 @@ import yaml
 
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
-from tf_lab.study.inventory import RUNS, TRAININGS, Entry, find, find_runs, find_trainings, remove
+from tf_lab.files import remove_directory
+from tf_lab.study.inventory import (
+    RUNS,
+    TRAININGS,
+    Entry,
+    find,
+    find_runs,
+    find_trainings,
+    with_dependents,
+)
 from tf_lab.study.reuse import commits_of
 from tf_lab.testing import read_metrics
 
@@ -26,27 +36,43 @@ def main() -> None:
     """List, show or remove."""
     parser = argparse.ArgumentParser(
         prog="python -m tf_lab.runs",
+        usage=__doc__.splitlines()[2],
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("action", nargs="?", choices=("list", "show", "rm"), default="list")
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--output", type=Path, default=Path("outputs"), metavar="DIR")
-    given = parser.parse_intermixed_args()
+    parser.add_argument("--dry-run", action="store_true")
+    words = [f"--{word}" if word.startswith("output=") else word for word in sys.argv[1:]]
+    given = parser.parse_intermixed_args(words)
     if bool(given.names) == (given.action == "list"):
         parser.error(f"{given.action}: " + ("takes no NAME" if given.names else "of which NAME?"))
+    if given.dry_run and given.action != "rm":
+        parser.error(f"{given.action}: takes no --dry-run")
     try:
         if given.action == "list":
             print(listing(given.output))
-        for name in given.names:
-            entry = find(given.output, name)
-            if given.action == "show":
-                print(details(entry))
-            else:
-                print("\n".join(f"removed {path}" for path in remove(given.output, entry)))
+        entries = [find(given.output, name) for name in given.names]
+        if given.action == "show":
+            print("\n".join(map(details, entries)))
+        if given.action == "rm":
+            remove(entries, given.dry_run)
     except (TFLabError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def remove(entries: Sequence[Entry], dry_run: bool) -> None:
+    """Remove trainings and evaluations and say so; or only say what would go.
+
+    Raises:
+        TFLabError: one is in use; then none is removed.
+    """
+    for path in dict.fromkeys(path for entry in entries for path in with_dependents(entry)):
+        if not dry_run:
+            remove_directory(path)
+        print(f"{'would remove' if dry_run else 'removed'} {path}")
 
 
 def listing(output: Path) -> str:
@@ -57,7 +83,7 @@ def listing(output: Path) -> str:
     """
     trainings, runs = find_trainings(output), find_runs(output)
     if not trainings and not runs:
-        raise TFLabError(f"{output}: no trainings or evaluations in it; give --output DIR")
+        raise TFLabError(f"{output}: no trainings or evaluations in it; give output=DIR")
     first = [["TRAINING", "STATE", "COMMIT", "MINUTES", "USED BY (ROW / SEED)"]]
     for entry in trainings:
         used = [run.label for run in runs if run.training == entry.directory.name]

@@ -320,6 +320,8 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("+seed=2", ("seed", "Either remove + prefix")),
         ("--views", ("unrecognized arguments: --views", "NAME=VALUE", "--help")),
         ("views=4,8", ("views=4,8: add -m", "views=[4,8]")),
+        ("sweep=inputs,views", ("sweep=inputs,views: one sweep at a time; sweep=all",)),
+        ("launcher=local", ("launcher=local needs a sweep: add -m or sweep=NAME",)),
         ("views=", ("views=: must be a number",)),
         ("seed=many", ("seed=many: must be a number",)),
         ("data.size=[3]", ("data.size=[3]: must be a number",)),
@@ -330,6 +332,12 @@ def test_an_encoder_that_does_not_ship() -> None:
 )
 def test_a_bad_word_on_the_command_line(argument: str, expected: tuple[str, ...]) -> None:
     told(call("train", argument), *expected)
+    assert not Path("outputs").exists()
+
+
+@pytest.mark.parametrize("sweeps", ["inputs,views", "[inputs,views]", "choice(inputs, views)"])
+def test_two_sweeps(sweeps: str) -> None:
+    told(call("train", "-m", f"sweep={sweeps}"), f"sweep={sweeps}: one sweep at a time")
     assert not Path("outputs").exists()
 
 

@@ -46,7 +46,7 @@ def test_every_choice_says_what_it_is() -> None:
     shown = {line[2:].split()[0] for line in lines}
     files = [p for p in Path(conf_dir()).glob("*/*.yaml") if (p.parent / p.name).is_file()]
     assert {f"{p.parent.name}={p.stem}" for p in files} <= shown
-    assert [line for line in lines if not re.fullmatch(r"[* ] \S+ +\w.*", line)] == []
+    assert [line for line in lines if not re.fullmatch(r"[* ] \S+ +\w.*\.", line)] == []
     assert sum(line.startswith("* fusion=") for line in lines) == 1
 
 

@@ -1,5 +1,6 @@
 """`python -m tf_lab.runs`: what is there, how far it is, and removing it."""
 
+import shlex
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from tiny_jobs import Result, call, tiny_config
 
 from tf_lab.files import held
 from tf_lab.provenance import commit
-from tf_lab.study.reuse import commits_of, say_reused
+from tf_lab.study.reuse import commits_of, removal, say_reused
 from tf_lab.train import write_config
 
 
@@ -81,6 +82,38 @@ def test_an_evaluation_goes_alone(mine: Path, main_job: Result) -> None:
     assert list(mine.glob("*/*")) == [mine / "trainings" / training.name]
 
 
+@pytest.mark.parametrize("given", [(), ("output=nowhere",)])
+def test_a_directory_of_any_output_folder(
+    mine: Path, main_job: Result, given: tuple[str, ...]
+) -> None:
+    """As ``removal`` prints it, wherever the output folder is."""
+    elsewhere = mine.rename(mine.with_name("else where"))
+    run = elsewhere / "runs" / main_job.path("run").name
+    training = elsewhere / "trainings" / main_job.path("training").name
+    *_, rm, directory = shlex.split(removal(training))
+    assert lines(rm, directory, *given) == [[f"removed {run}"], [f"removed {training}"]]
+    assert list(elsewhere.glob("*/*")) == []
+
+
+def test_a_directory_that_one_is_in(
+    mine: Path, main_job: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = main_job.path("run").name
+    monkeypatch.chdir(mine / "runs")
+    assert lines("rm", run) == [[f"removed {mine / 'runs' / run}"]]
+
+
+def test_a_dry_run_says_what_would_go(mine: Path, main_job: Result) -> None:
+    run, training = main_job.path("run"), main_job.path("training")
+    before = sorted(mine.rglob("*"))
+    would = [[f"would remove {run}"], [f"would remove {training}"]]
+    assert lines("rm", "--dry-run", training.name) == would
+    assert lines("rm", run.name, training.name, "--dry-run") == would  # each once
+    assert sorted(mine.rglob("*")) == before
+    assert len(lines("rm", run.name, training.name)) == 2
+    assert list(mine.glob("*/*")) == []
+
+
 def test_what_is_in_use_is_not_removed(mine: Path, main_job: Result) -> None:
     run, training = main_job.path("run"), main_job.path("training")
     with held(run, "evaluates"):
@@ -95,7 +128,15 @@ def test_what_is_in_use_is_not_removed(mine: Path, main_job: Result) -> None:
     ("arguments", "expected"),
     [
         (("show", "nothing"), "error: nothing: no training or evaluation is called so in outputs"),
+        (("show", "nothing"), "see python -m tf_lab.runs output=outputs"),
+        (
+            ("rm", "nothing", "output=x"),
+            "error: nothing: no training or evaluation is called so in x",
+        ),
         (("--output", "nowhere"), "error: nowhere: no trainings or evaluations in it"),
+        (("output=nowhere",), "error: nowhere: no trainings or evaluations in it; give output=DIR"),
+        (("show", "--dry-run", "x"), "show: takes no --dry-run"),
+        (("list", "x"), "usage: python -m tf_lab.runs [list | show NAME... | rm"),
         (("rm",), "rm: of which NAME?"),
         (("list", "x"), "list: takes no NAME"),
     ],
@@ -109,7 +150,7 @@ def test_bad_words(arguments: tuple[str, ...], expected: str) -> None:
 
 def test_as_a_process(mine: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "tf_lab.runs", "--output", str(mine)], capture_output=True, text=True
+        [sys.executable, "-m", "tf_lab.runs", f"output={mine}"], capture_output=True, text=True
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"{mine / 'trainings'}:\nTRAINING ")

@@ -11,7 +11,7 @@ import torch
 import yaml
 
 from tf_lab.errors import TFLabError
-from tf_lab.files import holder, remove_directory
+from tf_lab.files import holder
 from tf_lab.study.reuse import Origin, origin_of
 from tf_lab.study.runs import row_label
 
@@ -104,30 +104,42 @@ def _config(directory: Path) -> dict[str, Any]:
 def find(output: Path, name: str) -> Entry:
     """The training or evaluation of a name, of a key (the name's end), or in a directory.
 
+    Args:
+        output: where to look for it, unless it is a directory of another output folder.
+        name: of it.
+
     Raises:
         TFLabError: there is none, or more than one.
     """
+    output = _output_of(name) or output
     entries = [*find_trainings(output), *find_runs(output)]
     directory = Path(name).resolve()
     found = [e for e in entries if e.directory.resolve() == directory or e.directory.name == name]
     found = found or [e for e in entries if e.directory.name.endswith(f"-{name}")]
     if len(found) != 1:
         several = "more than one is" if found else "no training or evaluation is"
-        raise TFLabError(f"{name}: {several} called so in {output}; see python -m tf_lab.runs list")
+        there = f"python -m tf_lab.runs output={output}"
+        raise TFLabError(f"{name}: {several} called so in {output}; see {there}")
     return found[0]
 
 
-def remove(output: Path, entry: Entry) -> list[Path]:
-    """Remove a training and its evaluations, or an evaluation; what was removed.
+def _output_of(name: str) -> Path | None:
+    """The output folder that a training or an evaluation lies in, if that is what the path is."""
+    for path in (Path(name), Path(name).resolve()):
+        if path.is_dir() and path.parent.name in (TRAININGS, RUNS):
+            return path.parents[1]
+    return None
+
+
+def with_dependents(entry: Entry) -> list[Path]:
+    """The directories that go with it: a training and its evaluations, or an evaluation.
 
     Raises:
-        TFLabError: one is in use; then none is removed.
+        TFLabError: one is in use.
     """
-    dependent = [run for run in find_runs(output) if run.training == entry.directory.name]
+    runs = find_runs(entry.directory.parents[1])
+    dependent = [run for run in runs if run.training == entry.directory.name]
     for each in (entry, *dependent):
         if each.user:
             raise TFLabError(f"{each.directory}: {each.user} works on it; end that first")
-    directories = [*(run.directory for run in dependent), entry.directory]
-    for directory in directories:
-        remove_directory(directory)
-    return directories
+    return [*(run.directory for run in dependent), entry.directory]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ def origin_of(directory: Path) -> Origin:
 
 def removal(directory: Path) -> str:
     """The command that removes a training or an evaluation, so that it is made anew."""
-    return f"python -m tf_lab.runs rm {directory}"
+    return f"python -m tf_lab.runs rm {shlex.quote(str(directory))}"
 
 
 def say_reused(what: str, directory: Path) -> None:
