@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -73,6 +74,8 @@ def run_job(module: str, row: str, seed: int, find: Callable[[], Path | None]) -
         seed: of the job, for the table.
         find: the directory of the job's finished evaluation, if it is there.
     """
+    if multiprocessing.current_process().name != "MainProcess":  # a launcher's worker
+        end_with(os.getppid())
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     log = folder / "log.txt"

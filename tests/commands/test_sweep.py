@@ -187,6 +187,21 @@ def kill(
 
 
 @pytest.mark.usefixtures("outputs")
+def test_jobs_side_by_side_end_with_a_killed_sweep(tmp_path: Path) -> None:
+    sweep = ["-m", *TINY, "optimizer.steps=100000", "seed=0,1", "launcher=local"]
+    output = f"output={tmp_path}"
+    trainings = [
+        training_directory(tiny_config("optimizer.steps=100000", f"seed={seed}", output))
+        for seed in (0, 1)
+    ]
+    kill([*sweep, output], trainings[1] / "last.ckpt", environment())
+    deadline = time.monotonic() + 20
+    while any(holder(training) for training in trainings):
+        assert time.monotonic() < deadline, "a job outlives its sweep"
+        time.sleep(0.05)
+
+
+@pytest.mark.usefixtures("outputs")
 def test_a_killed_sweep_goes_on_to_the_same_results(
     tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:
