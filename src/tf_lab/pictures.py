@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from PIL import Image
 
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.metrics import distances
@@ -173,8 +174,12 @@ def _draw_losses(axes: Axes, losses: dict[str, np.ndarray]) -> None:
     axes.legend(frameon=False)
 
 
-def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG on white, whole or not at all."""
+def write_figure(figure: Figure, path: Path, colors: int | None = None) -> None:
+    """Write a figure as PNG on white, whole or not at all; with few colours it is small."""
     FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", facecolor="white")
+        if colors:
+            with Image.open(temporary) as whole:
+                few = whole.convert("RGB").quantize(colors)
+            few.save(temporary, format="png", optimize=True)

@@ -38,7 +38,7 @@ def study(tmp_path: Path) -> Study:
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     figures: list[Figure] = []
-    monkeypatch.setattr(gallery, "write_figure", lambda figure, path: figures.append(figure))
+    monkeypatch.setattr(gallery, "write_figure", lambda figure, *_: figures.append(figure))
     return figures
 
 

@@ -18,6 +18,7 @@ from tf_lab.study.studies import Study
 
 COLUMNS = 5
 PANEL = 3.1  # inches across
+COLORS = 32  # meshes are of one colour: shades enough, and a small file
 
 
 def scene_runs(study: Study, scene: str) -> dict[str, Run]:
@@ -73,7 +74,7 @@ def draw_scene(
         for name, mesh in meshes.items()
     }
     seed = next(iter(runs.values())).seed
-    write_figure(_grid(panels, f"{scene}, seed {seed}", size), path)
+    write_figure(_grid(panels, f"{scene}, seed {seed}", size), path, COLORS)
 
 
 def _grid(panels: dict[str, np.ndarray], heading: str, size: tuple[int, int]) -> Figure:
