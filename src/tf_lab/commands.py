@@ -82,6 +82,7 @@ def command(
                     conf = Path(conf_dir())
                     print(help_text(conf, config_name, about, words.overrides, unused))
                 else:
+                    overrides.check_groups(words.overrides, Path(conf_dir()))
                     before(words)
                     run()
             except (HydraException, OmegaConfBaseException, TFLabError) as error:

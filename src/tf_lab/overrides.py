@@ -53,6 +53,19 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
             raise TFLabError(f"{override.input_line}: must be {wanted}")
 
 
+def check_groups(words: Sequence[str], conf: Path) -> None:
+    """That no group is set to nothing, which Hydra answers with a traceback.
+
+    Raises:
+        TFLabError: one is.
+    """
+    for word in words:
+        group, _, choice = word.lstrip("+").partition("=")
+        if choice == "null" and (conf / group).is_dir():
+            there = ", ".join(sorted(path.stem for path in (conf / group).glob("*.yaml")))
+            raise TFLabError(f"{word}: choose one of {there}, or leave it out")
+
+
 def _value(cfg: DictConfig, name: str) -> Any:
     """Of a setting; None: it is made of another one that is missing."""
     try:

@@ -315,6 +315,7 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("fusion=foo", ("fusion=foo: no such choice", "transformer", "avg", "pred")),
         ("model=huge", ("model=huge: no such choice", "tiny", "small", "paper")),
         ("model=", ("model=: no such choice", "tiny")),
+        ("fusion=null", ("fusion=null: choose one of avg, pred, transformer", "leave it out")),
         ("views", ("views: not of the form NAME=VALUE",)),
         ("output=a=b", ("output=a=b: cannot be read", "quote")),
         ("+seed=2", ("seed", "Either remove + prefix")),
