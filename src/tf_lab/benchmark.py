@@ -18,7 +18,7 @@ from tf_lab.commands import command, device_of, plain
 from tf_lab.configuration import make_network, ready, reconstruction_settings
 from tf_lab.errors import TFLabError
 from tf_lab.files import atomic_path, write_json
-from tf_lab.provenance import provenance
+from tf_lab.provenance import provenance, without_places
 
 
 @command("benchmark", unused=("training", "optimizer"))
@@ -38,8 +38,8 @@ def main(cfg: DictConfig) -> None:
     if device.type == "cuda":
         origin["machine"]["gpu"] = torch.cuda.get_device_name(device)
     found = run_all(networks, _settings(config, device), config["views"], config["eager"])
-    results = {"config": config, "provenance": origin, **found}
-    output = Path(config["output"])
+    output = Path(config.pop("output"))
+    results = without_places({"config": config, "provenance": origin, **found})
     text = tables(results)
     print(text)
     write_json(output / "benchmark.json", results)

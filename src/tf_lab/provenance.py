@@ -7,6 +7,7 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -75,3 +76,16 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     return platform.processor()
+
+
+def without_places(value: Any, key: str = "") -> Any:
+    """What a JSON file holds without absolute paths: a checkpoint's is cut, an argument's goes."""
+    if isinstance(value, dict):
+        return {k: without_places(v, k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [without_places(item) for item in value]
+    if key == "checkpoint":
+        return "/".join(Path(value).parts[-3:])
+    if key == "command":
+        return re.sub(r"""\s\S+=["']?[/~]\S*""", "", value)
+    return value

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import yaml
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.metrics import KEYS, Metrics
 from tf_lab.files import atomic_path, write_json
+from tf_lab.provenance import without_places
 from tf_lab.study.reuse import Origin, removal
 from tf_lab.study.runs import evaluation_identity, portable, row_label, training_identity
 
@@ -160,18 +160,5 @@ def keep_run(run: Run, folder: Path) -> Path:
         config = yaml.safe_dump(portable(run.config), sort_keys=False)
         temporary.write_text(config, encoding="utf-8")
     for name in ("run.json", "metrics.json"):
-        write_json(kept / name, _without_places(_read(run.directory / name, json.loads)))
+        write_json(kept / name, without_places(_read(run.directory / name, json.loads)))
     return kept
-
-
-def _without_places(value: Any, key: str = "") -> Any:
-    """What a JSON file holds without absolute paths: a checkpoint's is cut, an argument's goes."""
-    if isinstance(value, dict):
-        return {k: _without_places(v, k) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_without_places(item) for item in value]
-    if key == "checkpoint":
-        return "/".join(Path(value).parts[-3:])
-    if key == "command":
-        return re.sub(r"""\s\S+=["']?[/~]\S*""", "", value)
-    return value
