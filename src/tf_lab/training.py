@@ -116,7 +116,9 @@ class Training(L.LightningModule):
             sdf_weight=self.sdf_weight,
         )
         self.log_dict(
-            {f"train/{k}": v.detach() for k, v in terms.items()}, batch_size=len(batch.images)
+            {f"train/{k}": v.detach() for k, v in terms.items()},
+            batch_size=len(batch.images),
+            sync_dist=True,
         )
         return terms["loss"]
 

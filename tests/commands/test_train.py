@@ -22,10 +22,7 @@ from tiny_jobs import TINY, Result, call, start, tiny_config
 
 import tf_lab
 from tf_lab.checkpoint import load_network
-from tf_lab.configuration import optimizer_settings
-from tf_lab.configuration import test_settings as settings_of_tests
 from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.datasets import training_chunks
 from tf_lab.online.selection import make_policy
 from tf_lab.train import train as train_network
 from tf_lab.training import Training
@@ -251,28 +248,23 @@ def test_two_processes_train_together(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("outputs")
 @pytest.mark.timeout(1800)
 def test_two_processes_learn_as_one_with_the_batch_of_both(tmp_path: Path) -> None:
-    """Up to what another seed changes; measured on the same batches, which neither trained on."""
+    """The same losses on the same batches: rounding apart at first, and what it grows to later."""
     ways = {
-        "untrained": ("training.chunks=2", "optimizer.lr=0"),
         "one": ("training.chunks=2",),
-        "one, another seed": ("training.chunks=2", "seed=1"),
         "two": ("training.chunks=1", "trainer.devices=2", "trainer.strategy=ddp"),
+        "unlearning": ("training.chunks=2", "optimizer.lr=0"),
     }
-    config = tiny_config("training.chunks=2")
-    batches = list(islice(training_chunks(config).stream(99, 0, 0, 1), 30))
-    losses = {}
+    curves = {}
     for name, way in ways.items():
-        steps = 1 if name == "untrained" else 200
-        result = start("train", *TINY, f"optimizer.steps={steps}", *way, cwd=tmp_path)
+        result = start("train", *TINY, "optimizer.steps=200", *way, cwd=tmp_path)
         assert result.status == 0, result.err
-        network, _ = load_network(tmp_path / result.path("training") / "model.safetensors")
-        module = Training(network, optimizer_settings(config), 0.5, settings_of_tests(config))
-        with torch.no_grad():
-            losses[name] = np.mean([module.training_step(batch, 0).item() for batch in batches])
-    learned = losses["untrained"] - losses["one"]
-    noise = max(abs(losses["one, another seed"] - losses["one"]), 0.05 * learned)
-    assert learned > 0.1 * losses["untrained"]
-    assert abs(losses["two"] - losses["one"]) < 2 * noise
+        curves[name] = np.array(logged(tmp_path / result.path("training"))["train/loss"])
+    learned = curves["unlearning"] - curves["one"]
+    difference = np.abs(curves["two"] - curves["one"])
+    assert len(learned) == 40  # every fifth step
+    assert learned[20:].mean() > 0.1 * curves["unlearning"][20:].mean()
+    assert (difference[:8] < 1e-5).all()
+    assert difference.mean() < 0.01 * learned.mean()
 
 
 @pytest.mark.slow

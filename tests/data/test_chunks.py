@@ -248,6 +248,18 @@ def test_a_batch_is_a_function_of_seed_rank_and_step(box_scene: Path) -> None:
         assert all(same(a, b) for a, b in zip(resumed, first[start:], strict=True))
 
 
+@pytest.mark.parametrize("views", [(), (2, 3)])
+def test_processes_share_the_chunks_of_a_step(box_scene: Path, views: tuple[int, ...]) -> None:
+    """Two with two chunks each have those that one with four has, and keep as many views."""
+    of_four = replace(SMALL, chunks=4, views=views, ranked=0.5)
+    of_two = sampler(box_scene, replace(of_four, chunks=2))
+    parts = [of_two.stream(0, 1, rank, 2) for rank in range(2)]
+    whole = sampler(box_scene, of_four).stream(0, 1, 0, 1)
+    for one, *two in itertools.islice(zip(whole, *parts, strict=True), 4):
+        joined = {k: torch.cat([vars(part)[k] for part in two]) for k in vars(one)}
+        assert same(ChunkBatch(**joined), one)
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_the_number_of_workers_does_not_matter(box_scene: Path, workers: int) -> None:
     expected = itertools.islice(stream(box_scene, first_step=5), 4)
@@ -273,7 +285,7 @@ def test_the_number_of_views_varies_from_step_to_step(box_scene: Path) -> None:
 
 def test_fewer_images_than_a_record_holds(box_scene: Path) -> None:
     """A step uses some of them, each with its own camera; other steps use others."""
-    record = sampler(box_scene, replace(SMALL, images=6)).record(0, 0, 0)
+    record = sampler(box_scene, replace(SMALL, images=6)).record(0, 0)
     stored = torch.empty((6, 3, 60, 80), dtype=torch.uint8)
     record.decode(range(6), stored.numpy())
     used = []
@@ -319,7 +331,7 @@ def test_a_damaged_image_is_told_with_its_scene(box_scene: Path, tmp_path: Path)
         draw(broken, SMALL)
     shutil.rmtree(broken / "color")
     with pytest.raises(TFLabError, match=r"broken/color/00.*prepare it again"):
-        ChunkSampler([broken], SMALL, NEAR, FAR).record(0, 0, 1)
+        ChunkSampler([broken], SMALL, NEAR, FAR).record(0, 1)
 
 
 def test_moving_a_batch(batch: ChunkBatch) -> None:
@@ -336,4 +348,4 @@ def test_nothing_to_train_on(box_scene: Path, tmp_path: Path) -> None:
         draw(box_scene, many)
     missing = ChunkSampler([tmp_path / "gone"], SMALL, NEAR, FAR)
     with pytest.raises(TFLabError, match=r"gone.*prepare"):
-        missing.record(0, 0, 0)
+        missing.record(0, 0)

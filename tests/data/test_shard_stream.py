@@ -54,7 +54,7 @@ def source(urls: object, shuffle: bool = True, **changes: object) -> ShardSource
 @pytest.fixture(scope="module")
 def number_of(box_scene: Path) -> Callable[[torch.Tensor], int]:
     """Tells a chunk's number by its points."""
-    records = [sampler(box_scene).record(SEED, 0, i) for i in range(COUNT)]
+    records = [sampler(box_scene).record(SEED, i) for i in range(COUNT)]
     known = {record.points.numpy().tobytes(): i for i, record in enumerate(records)}
     assert len(known) == COUNT
     return lambda points: known[points.numpy().tobytes()]

@@ -70,7 +70,7 @@ def test_a_record_is_what_was_drawn(written: Path, box_scene: Path) -> None:
     (shard,) = open_shards(str(written / "chunks-000002.tar")).shards
     for i, found in zip((3, 0, 4), read_records(shard, [3, 0, 4]), strict=True):
         assert found is not None
-        drawn = sampler(box_scene).record(SEED, 0, 10 + i)
+        drawn = sampler(box_scene).record(SEED, 10 + i)
         assert (found.scene, found.size) == ("box_room", drawn.size)
         assert (found.frames, found.images) == (drawn.frames, drawn.images)
         for name in TENSORS:

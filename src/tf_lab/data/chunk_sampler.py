@@ -114,15 +114,15 @@ class ChunkSampler:
 
     def stream(self, seed: int, first_step: int, rank: int, world: int) -> ChunkStream:
         """See `ChunkSource`."""
-        return ChunkStream(self, seed, first_step, rank)
+        return ChunkStream(self, seed, first_step, rank, world)
 
-    def record(self, seed: int, rank: int, index: int) -> ChunkRecord:
-        """A chunk of a random scene, a function of seed, rank and index alone.
+    def record(self, seed: int, index: int) -> ChunkRecord:
+        """A chunk of a random scene, a function of seed and index alone.
 
         Raises:
             TFLabError: a scene is damaged, or no chunk is seen by enough images.
         """
-        rng = np.random.default_rng([seed, rank, index])
+        rng = np.random.default_rng([seed, 0, index])  # with a fourth number: a step's
         for _ in range(ATTEMPTS):
             record = self.draw(_open(self.scenes[rng.integers(len(self.scenes))]), rng)
             if record is not None:
@@ -169,31 +169,34 @@ _open = lru_cache(maxsize=256)(ChunkScene)
 
 
 class ChunkStream(IterableDataset[ChunkBatch]):
-    """An endless stream of batches, each a function of (seed, rank, step) alone.
+    """An endless stream of batches, each a function of (seed, step, rank, world) alone.
 
     So training can start again at any step and meet the same batches, whatever the number of
-    worker processes.
+    worker processes. The chunks of a step depend on how many there are in all, not on how many
+    processes share them: two processes with 2 chunks each train on what one with 4 does.
 
     Args:
         sampler: draws the chunks.
         seed: of the run.
         first_step: where to start.
         rank: of this process in distributed training.
+        world: how many processes there are.
     """
 
-    def __init__(self, sampler: ChunkSampler, seed: int, first_step: int = 0, rank: int = 0):
+    def __init__(
+        self, sampler: ChunkSampler, seed: int, first_step: int = 0, rank: int = 0, world: int = 1
+    ) -> None:
         self.sampler, self.seed = sampler, seed
-        self.first_step, self.rank = first_step, rank
+        self.first_step, self.rank, self.world = first_step, rank, world
 
     def __iter__(self) -> Iterator[ChunkBatch]:
         return map(self.batch, own_steps(self.first_step))
 
     def batch(self, step: int) -> ChunkBatch:
-        """The batch of a step."""
+        """This process's part of the batch of a step."""
         settings = self.sampler.settings
-        first = step * settings.chunks
+        first = (step * self.world + self.rank) * settings.chunks
         records = [
-            self.sampler.record(self.seed, self.rank, index)
-            for index in range(first, first + settings.chunks)
+            self.sampler.record(self.seed, index) for index in range(first, first + settings.chunks)
         ]
         return make_batch(records, settings, self.seed, self.rank, step)

@@ -29,7 +29,7 @@ class ChunkSettings:
     """How chunks are drawn.
 
     Attributes:
-        chunks: chunks a step (4 in the paper).
+        chunks: chunks a step and process (4 in the paper).
         images: random images a chunk (8 in the paper).
         views: K_t, how many of its valid images every voxel keeps, as at test time; one of the
             numbers is drawn a step. Empty: it keeps all images, valid or not (paper).
@@ -130,6 +130,8 @@ class ChunkSource(Protocol):
     ) -> IterableDataset[ChunkBatch]:
         """An endless stream of the batches of one process, from a step on.
 
+        No two processes meet the same chunk at a step.
+
         Args:
             seed: of the run.
             first_step: where to start.
@@ -142,10 +144,11 @@ class ChunkSource(Protocol):
 def make_batch(
     records: Sequence[ChunkRecord], settings: ChunkSettings, seed: int, rank: int, step: int
 ) -> ChunkBatch:
-    """The batch of a step: what is chosen anew at every step is a function of seed, rank and step.
+    """The batch of one process at a step, with what is chosen anew at every step.
 
-    That is how many views are kept and by which rule, and which images are used of records that
-    hold more than ``settings.images``.
+    How many views are kept and by which rule is a function of seed and step, the same in all
+    processes: none waits for another that keeps more. Which images are used, of records that hold
+    more than ``settings.images``, is a function of seed, rank and step.
 
     Raises:
         TFLabError: an image is damaged, or they are of several sizes.
@@ -153,9 +156,10 @@ def make_batch(
     sizes = sorted({r.size for r in records})
     if len(sizes) > 1:
         raise TFLabError(f"images of {sizes} pixels in one batch; prepare all scenes at one size")
-    rng = np.random.default_rng([seed, rank, step, 1])  # without the 1: a record's, see `record`
+    rng = np.random.default_rng([seed, 0, step, 1])  # [seed, 0, index] is a record's
     keep = int(rng.choice(settings.views)) if settings.views else 0
     ranked = bool(rng.random() < settings.ranked)
+    rng = np.random.default_rng([seed, rank, step, 2])
     chosen = [_choose(len(r.images), settings.images, rng) for r in records]
     views = list(zip(records, chosen, strict=True))
     width, height = sizes[0]

@@ -197,7 +197,7 @@ def _write_shard(path: Path, sampler: ChunkSampler, seed: int, indices: range) -
         TarWriter(file, encoder=False, mtime=0, user="", group="", mode=0o644) as tar,
     ):
         for index in indices:
-            record = sampler.record(seed, 0, index)
+            record = sampler.record(seed, index)
             width, height = record.size  # a damaged image is told now, not in training
             count = len(record.images)
             record.decode(range(count), np.empty((count, 3, height, width), np.uint8))

@@ -1,8 +1,14 @@
-"""L = L_c + L_f + L_o (paper, Sec. 3), and an optional signed-distance term (ours)."""
+"""L = L_c + L_f + L_o (paper, Sec. 3), and an optional signed-distance term (ours).
+
+Every term is a mean over the voxels or points of the whole batch. In distributed training each
+process divides by the mean of all processes' counts, so that the average of their gradients is
+the gradient of one process with all their chunks.
+"""
 
 from __future__ import annotations
 
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F
 from torch import Tensor
 
@@ -24,7 +30,7 @@ def mask_loss(logits: Tensor, target: Tensor, where: Tensor) -> Tensor:
     loss = F.binary_cross_entropy_with_logits(
         logits, truth, weight=1 + (NEAR_WEIGHT - 1) * truth, reduction="sum"
     )
-    return loss / max(1, truth.numel())
+    return loss / _count(where)
 
 
 def occupancy_loss(logits: Tensor, occupied: Tensor, where: Tensor) -> Tensor:
@@ -32,7 +38,7 @@ def occupancy_loss(logits: Tensor, occupied: Tensor, where: Tensor) -> Tensor:
     loss = F.binary_cross_entropy_with_logits(
         logits[where], occupied[where].float(), reduction="sum"
     )
-    return loss / max(1, int(where.sum()))
+    return loss / _count(where)
 
 
 def sdf_loss(logits: Tensor, sdf: Tensor, where: Tensor) -> Tensor:
@@ -47,7 +53,7 @@ def sdf_loss(logits: Tensor, sdf: Tensor, where: Tensor) -> Tensor:
     """
     target = (-sdf / SDF_SCALE).clamp(-SDF_CLIP, SDF_CLIP)
     loss = F.smooth_l1_loss(logits[where], target[where], reduction="sum")
-    return loss / max(1, int(where.sum()))
+    return loss / _count(where)
 
 
 def losses(
@@ -81,3 +87,12 @@ def losses(
         total = total + sdf_weight * terms["sdf"]
     terms["loss"] = total
     return terms
+
+
+def _count(where: Tensor) -> Tensor:
+    """How many are set, at least one; the mean over all processes of a distributed training."""
+    total, processes = where.sum(dtype=torch.float32), 1
+    if dist.is_available() and dist.is_initialized():
+        dist.all_reduce(total)
+        processes = dist.get_world_size()
+    return total.clamp(min=1) / processes
