@@ -14,8 +14,7 @@ class KnownMaps:
     Images are known by their content. Results do not depend on what is kept, so that a resumed
     training goes on as if never stopped: maps are kept in half precision and used so from the
     first time, and each image is encoded by itself, as rounding depends on the batch. Images on a
-    GPU are encoded every time:
-    that is faster than fetching maps from the host.
+    GPU are encoded every time: that is faster than fetching maps from the host.
 
     Args:
         network: whose encoder is frozen here.
@@ -37,11 +36,10 @@ class KnownMaps:
         keys = [hash(image.numpy().tobytes()) for image in images]
         new = [i for i, key in enumerate(keys) if key not in self._known]
         found = {key: self._known[key] for key in keys if key in self._known}
-        if new:
-            for i in new:
-                maps = self.network.encode(images[i : i + 1])
-                found[keys[i]] = {level: maps[level][0].half() for level in LEVELS}
-                self._keep(keys[i], found[keys[i]])
+        for i in new:
+            maps = self.network.encode(images[i : i + 1])
+            found[keys[i]] = {level: maps[level][0].half() for level in LEVELS}
+            self._keep(keys[i], found[keys[i]])
         return {level: torch.stack([found[key][level].float() for key in keys]) for level in LEVELS}
 
     def _keep(self, key: int, maps: dict[str, Tensor]) -> None:
