@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+import torch.distributed as dist
 from torch import Tensor
 
 from tf_lab.network.losses import losses, mask_loss, occupancy_loss, sdf_loss
@@ -112,3 +113,24 @@ def test_nothing_to_supervise() -> None:
     ):
         assert loss.item() == 0
         loss.backward()  # a step of training goes on
+
+
+def test_the_mean_over_two_processes_is_the_loss_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However the supervised voxels and points are shared out: here 1 and 2, or 2 and 1."""
+    p = predictions()
+    terms = (
+        (mask_loss, p.coarse, COARSE, line(True, True, True)),
+        (mask_loss, p.fine, FINE, p.fine_active),
+        (occupancy_loss, p.occupancy, SDF < 0, p.seen & ~SDF.isnan()),
+        (sdf_loss, p.occupancy, SDF, p.seen & ~SDF.isnan()),
+    )
+    for loss, logits, target, where in terms:
+        expected, total = loss(logits, target, where).item(), int(where.sum())
+        parts = [x.tensor_split([2], dim=-1) for x in (logits, target, where)]
+        with monkeypatch.context() as two_processes:
+            two_processes.setattr(dist, "is_initialized", lambda: True)
+            two_processes.setattr(dist, "get_world_size", lambda: 2)
+            two_processes.setattr(dist, "all_reduce", lambda count, n=total: count.fill_(n))
+            halves = [loss(*part).item() for part in zip(*parts, strict=True)]
+        assert sum(halves) / 2 == pytest.approx(expected)
+        assert halves[0] != pytest.approx(halves[1])

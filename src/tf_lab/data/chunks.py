@@ -130,8 +130,6 @@ class ChunkSource(Protocol):
     ) -> IterableDataset[ChunkBatch]:
         """An endless stream of the batches of one process, from a step on.
 
-        No two processes meet the same chunk at a step.
-
         Args:
             seed: of the run.
             first_step: where to start.
