@@ -252,8 +252,9 @@ def test_a_sweep_killed_twice_at_random_ends_as_an_undisturbed_one(tmp_path: Pat
     ids=["local", "submitit"],
 )
 def test_jobs_side_by_side(launcher: Sequence[str], tmp_path: Path) -> None:
-    """Two jobs of one training: one trains, the other takes what it made; one job fails."""
-    result = start("train", "-m", *TINY, "views=4,8,0", *launcher, cwd=tmp_path)
+    """Two jobs of one training: one trains, the other waits for it; one job fails."""
+    long = "optimizer.steps=200"  # the other has started before the training ends
+    result = start("train", "-m", *TINY, long, "views=4,8,0", *launcher, cwd=tmp_path)
     assert result.status == 1
     scores = table(result)
     assert 0 <= float(scores["Ours: 4 images", 0]) <= 1
@@ -265,6 +266,7 @@ def test_jobs_side_by_side(launcher: Sequence[str], tmp_path: Path) -> None:
     good = [log for log in logs if "error: views=0" not in log]  # that one may come first or last
     assert len(good) == 2
     assert sum("reusing the identical finished training" in log for log in good) == 1
+    assert sum("waiting for process " in log for log in good) == 1
 
 
 @pytest.mark.slow
