@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import wandb
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
 
 from tf_lab.errors import TFLabError
@@ -55,6 +54,8 @@ def _wandb(config: Mapping[str, Any], directory: Path) -> Logger:
 
 @contextlib.contextmanager
 def _account() -> Iterator[None]:
+    import wandb  # slow to import; only who logs there waits for it
+
     try:
         yield
     except wandb.Error as error:
@@ -71,6 +72,8 @@ def log_scores(config: Mapping[str, Any], run: Path, mean: Mapping[str, float]) 
     """
     if config["logger"]["kind"] != "wandb":
         return
+    import wandb
+
     if "WANDB_SWEEP_ID" not in os.environ:
         wandb.finish()  # the training's
     with _account():
