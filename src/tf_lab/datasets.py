@@ -14,6 +14,7 @@ from tf_lab.data import groundtruth, rooms
 from tf_lab.data.captures import ImportSettings, find_captures, names_of, prepare_captures
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import ChunkSource
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.dataset import FIRST_SEED, RoomSplit, prepare_rooms, room_directory
 from tf_lab.data.scannet_splits import find_scene, split_scenes
@@ -138,14 +139,11 @@ def _prepare_captures(config: Config, splits: tuple[str, ...]) -> dict[str, list
 def scene_settings(config: Config) -> ImportSettings:
     """How captures become scenes."""
     d = config["data"]
-    gravity = d.get("gravity")
     return ImportSettings(
         width=d["width"],
         height=d["height"],
         keyframe_distance=d["keyframe_distance"],
-        format=d.get("format"),
-        gravity=None if gravity is None else tuple(gravity),
-        scale=d.get("scale"),
+        read=ReadSettings.of(d),
     )
 
 

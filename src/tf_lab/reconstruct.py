@@ -22,6 +22,7 @@ from tf_lab.configuration import ready, test_settings
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
 from tf_lab.datasets import prepare_data
@@ -72,9 +73,7 @@ def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:
     """The input at the image size that the checkpoint was trained at; a test room without one."""
     if config["input"] is None:
         return Scene(prepare_data(config, ("test",))["test"][0])
-    capture = open_capture(
-        Path(config["input"]), config["format"], config["gravity"], config["scale"]
-    )
+    capture = open_capture(Path(config["input"]), ReadSettings.of(config))
     data = info.get("training", {}).get("config", {}).get("data", {})
     if "width" not in data:
         return capture

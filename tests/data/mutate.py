@@ -17,6 +17,7 @@ import numpy as np
 
 from layouts import LAYOUTS, room_frames
 from tf_lab.data.readers import open_capture
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 from tf_lab.errors import TFLabError
 
@@ -97,9 +98,9 @@ def pick(files: list[Path], rng: np.random.Generator) -> Path:
     return chosen[rng.integers(len(chosen))]
 
 
-def attempt(source: Path, options: dict[str, object]) -> None:
+def attempt(source: Path, options: ReadSettings) -> None:
     """Open a capture and read all of it, as reconstruct and prepare do: each frame on its own."""
-    capture = open_capture(source, **options)  # type: ignore[arg-type]
+    capture = open_capture(source, options)
     for i in range(len(capture.frames)):
         try:
             capture.image(i)

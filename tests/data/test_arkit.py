@@ -9,6 +9,7 @@ from PIL import Image
 
 from layouts.video import write_video
 from tf_lab.data.readers import arkit, open_capture
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (48, 36)
@@ -162,4 +163,4 @@ def test_missing_parts(recorded: Record) -> None:
     (folder / "ARposes.txt").unlink()
     assert not arkit.detect(folder)
     with pytest.raises(TFLabError, match=r"ARposes\.txt: missing"):
-        open_capture(folder, format="arkit")
+        open_capture(folder, ReadSettings(format="arkit"))

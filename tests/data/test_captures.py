@@ -19,11 +19,13 @@ from tf_lab.data.captures import (
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.keyframes import pose_distance
 from tf_lab.data.readers import open_capture
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.meshes import read_mesh
 
-SMALL = ImportSettings(width=48, height=36, keyframe_distance=0.0, gravity=(0.0, 0.0, -1.0))
+READ = ReadSettings(gravity=(0.0, 0.0, -1.0))
+SMALL = ImportSettings(width=48, height=36, keyframe_distance=0.0, read=READ)
 MEMORY = 2**28
 
 
@@ -38,7 +40,10 @@ def imported(source: Path, directory: Path, settings: ImportSettings = SMALL) ->
 
 
 def test_a_scene_has_the_frames_at_the_wanted_size(source: Path, tmp_path: Path) -> None:
-    scene, capture = imported(source, tmp_path / "scene"), open_capture(source, gravity=[0, 0, -1])
+    scene, capture = (
+        imported(source, tmp_path / "scene"),
+        open_capture(source, READ),
+    )
     assert (scene.name, scene.size, scene.frames) == ("kitchen", (48, 36), capture.frames)
     np.testing.assert_array_equal(scene.world_T_cam, capture.world_T_cam)
     # half the size: the same rays through the corners of the image
@@ -56,7 +61,7 @@ def test_a_scene_has_the_frames_at_the_wanted_size(source: Path, tmp_path: Path)
 
 
 def test_keyframes_alone_are_stored(source: Path, tmp_path: Path) -> None:
-    far = ImportSettings(48, 36, keyframe_distance=0.5, gravity=(0.0, 0.0, -1.0))
+    far = ImportSettings(48, 36, keyframe_distance=0.5, read=READ)
     scene = imported(source, tmp_path / "scene", far)
     assert 2 < len(scene) < len(room_frames())
     steps = zip(scene.world_T_cam[:-1], scene.world_T_cam[1:], strict=True)
@@ -93,7 +98,9 @@ def test_a_turned_world_is_brought_upright(tmp_path: Path) -> None:
     frames = [type(f)(f.name, f.image, f.K, turn @ f.world_T_cam, f.depth) for f in room_frames()]
     source = plain.write(tmp_path / "turned", frames)
     down = tuple(turn[:3, :3] @ [0, 0, -1])
-    scene = imported(source, tmp_path / "scene", ImportSettings(48, 36, 0.0, gravity=down))
+    scene = imported(
+        source, tmp_path / "scene", ImportSettings(48, 36, 0.0, read=ReadSettings(gravity=down))
+    )
     back = scene.source_T_world @ scene.world_T_cam
     np.testing.assert_allclose(back, np.stack([f.world_T_cam for f in frames]), atol=1e-9)
     straight = imported(plain.write(tmp_path / "straight", room_frames()), tmp_path / "scene2")

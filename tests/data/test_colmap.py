@@ -12,6 +12,7 @@ from PIL import Image
 
 import lenses
 from tf_lab.data.readers import colmap, open_capture
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.errors import TFLabError
 
@@ -157,8 +158,8 @@ def test_several_models_are_told(text: Write, caplog: pytest.LogCaptureFixture) 
 def test_the_scale_must_be_given(text: Write) -> None:
     folder = text()
     with pytest.raises(TFLabError, match=r"unit of length is unknown.*scale=METRES_PER_UNIT"):
-        open_capture(folder, gravity=[0, 1, 0])
-    capture = open_capture(folder, gravity=[0, 0, -1], scale=2.0)
+        open_capture(folder, ReadSettings(gravity=(0, 1, 0)))
+    capture = open_capture(folder, ReadSettings(gravity=(0, 0, -1), scale=2.0))
     np.testing.assert_allclose(capture.world_T_cam[0, :3, 3], [2, 4, 6])
     back = capture.source_T_world @ [2, 4, 6, 1]
     np.testing.assert_allclose(back, [1, 2, 3, 1])
@@ -207,7 +208,6 @@ def test_images_that_cannot_be_used_are_skipped(text: Write) -> None:
         ("\n1 PINHOLE", "line 2: not enough values"),
         ("1 PINHOLE 120 90 110 -112 61 44.5", "must be positive"),
         ("1 PINHOLE 120 90 nan 112 61 44.5", "NaN or infinity"),
-        ("1 PINHOLE 120 90 110 112 610 44.5", "outside"),
         (f"1 PINHOLE {10**30} 90 110 112 61 44.5", "impossible"),
         (f"1 PINHOLE {'9' * 9999} 90 110 112 61 44.5", "line 1"),
         ("\udcff", "utf-8"),
@@ -273,7 +273,7 @@ def test_binary_names_that_are_no_text(binary: Write) -> None:
 
 def test_missing_parts(tmp_path: Path, text: Write) -> None:
     with pytest.raises(TFLabError, match="no sparse model"):
-        open_capture(tmp_path, format="colmap")
+        open_capture(tmp_path, ReadSettings(format="colmap"))
     folder = text()
     (folder / "images" / "0.png").unlink()
     with pytest.raises(TFLabError, match=r"no usable frame.*no such image"):

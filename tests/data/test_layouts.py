@@ -23,7 +23,7 @@ NO_DEPTH = ("colmap_text", "colmap_binary", "arkit", "video")
 
 def opened(layout: str, tmp_path: Path) -> Capture:
     module = LAYOUTS[layout]
-    return open_capture(module.write(tmp_path / "room", room_frames()), **module.OPTIONS)
+    return open_capture(module.write(tmp_path / "room", room_frames()), module.OPTIONS)
 
 
 @every_layout

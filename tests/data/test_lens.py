@@ -141,8 +141,6 @@ def test_any_lens_is_refused_or_seen_through() -> None:
         ({"fy": -1.0}, "must be positive"),
         ({"fx": float("nan")}, "NaN or infinity"),
         ({"distortion": (0.0, float("inf"), 0.0, 0.0)}, "NaN or infinity"),
-        ({"cx": 128.0}, "outside the 128x96"),
-        ({"cy": -1.0}, "outside the 128x96"),
         ({"distortion": (0.1, 0.2)}, "2 distortion coefficients"),
         ({"distortion": (0.1,) * 5, "fisheye": True}, "5 distortion coefficients"),
     ],
@@ -150,6 +148,12 @@ def test_any_lens_is_refused_or_seen_through() -> None:
 def test_impossible_cameras(change: dict[str, Any], message: str) -> None:
     with pytest.raises(TFLabError, match=message):
         Camera(**{"size": SIZE, **FOCAL, **change})
+
+
+def test_whether_intrinsics_are_of_the_images() -> None:
+    assert Camera(SIZE, **FOCAL).centred
+    for change in ({"cx": 128.0}, {"cy": -1.0}):
+        assert not Camera(SIZE, **{**FOCAL, **change}).centred
 
 
 def test_cameras_of_matrices() -> None:

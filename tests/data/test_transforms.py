@@ -13,6 +13,7 @@ from PIL import Image
 
 import lenses
 from tf_lab.data.readers import open_capture, transforms
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.errors import TFLabError
 
@@ -58,12 +59,14 @@ def test_axes_and_pixel_centres(read: Read) -> None:
 
 def test_the_folder_and_the_file_are_the_same_capture(tmp_path: Path) -> None:
     folder = write(tmp_path, {**CAMERA, "frames": [frame(0)]})
-    a = open_capture(folder, gravity=[0, 0, -1])
-    b = open_capture(folder / "transforms.json", gravity=[0, 0, -1])
+    a = open_capture(folder, ReadSettings(gravity=(0, 0, -1)))
+    b = open_capture(folder / "transforms.json", ReadSettings(gravity=(0, 0, -1)))
     assert a.name == b.name == tmp_path.name
     np.testing.assert_array_equal(a.world_T_cam, b.world_T_cam)
     (folder / "transforms.json").rename(folder / "transforms_train.json")
-    assert open_capture(folder / "transforms_train.json", gravity=[0, 0, -1]).frames == ["0"]
+    assert open_capture(
+        folder / "transforms_train.json", ReadSettings(gravity=(0, 0, -1))
+    ).frames == ["0"]
     with pytest.raises(TFLabError, match="no poses"):
         open_capture(folder)
 
@@ -221,7 +224,7 @@ def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
 
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match=r"transforms\.json: missing"):
-        open_capture(tmp_path, format="transforms")
+        open_capture(tmp_path, ReadSettings(format="transforms"))
 
 
 @pytest.mark.parametrize("value", [0, -1, "1mm", None, math.inf, [1]])
@@ -238,7 +241,6 @@ def test_a_depth_unit_that_is_none(read: Read, value: Any) -> None:
         ({"camera_angle_x": 4.0}, "camera_angle_x is 4"),
         ({**CAMERA, "fl_x": -1}, "must be positive"),
         ({**CAMERA, "fl_y": math.inf}, "fl_y is 'inf'"),
-        ({**CAMERA, "cx": 900}, "outside"),
         ({**CAMERA, "k1": 1e9}, "makes no sense"),
         ({**CAMERA, "w": 10**9}, "impossible"),
     ],

@@ -9,6 +9,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tf_lab.data.readers import open_capture
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (16, 12)
@@ -141,13 +142,13 @@ def test_missing_lists(tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match=r"no known layout.*tum \(rgb\.txt, groundtruth\.txt\)"):
         open_capture(folder)
     with pytest.raises(TFLabError, match=r"groundtruth\.txt: missing; .*tx ty tz qx qy qz qw"):
-        open_capture(folder, format="tum")
+        open_capture(folder, ReadSettings(format="tum"))
     (folder / "groundtruth.txt").write_text("")
     with pytest.raises(TFLabError, match=r"no usable frame.*1\.000000: no pose within"):
         open_capture(folder)
     (folder / "rgb.txt").unlink()
     with pytest.raises(TFLabError, match=r"rgb\.txt: missing"):
-        open_capture(folder, format="tum")
+        open_capture(folder, ReadSettings(format="tum"))
 
 
 def vga(folder: Path, image: np.ndarray, depth: np.ndarray | None = None) -> Path:

@@ -12,6 +12,7 @@ from PIL import Image
 from layouts.video import write_video
 from tf_lab.data.readers import open_capture, video
 from tf_lab.data.readers.frames_of_video import Video
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (48, 32)
@@ -217,13 +218,13 @@ def test_what_is_a_video_layout(written: Write) -> None:
     (folder / "images").mkdir()  # images with poses are the plain layout
     Image.new("RGB", SIZE).save(folder / "images" / "0.png")
     (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0")
-    assert open_capture(folder, gravity=[0, 1, 0]).frames == ["0"]
+    assert open_capture(folder, ReadSettings(gravity=(0, 1, 0))).frames == ["0"]
     (folder / "images" / "0.png").unlink()
     (folder / "images").rmdir()
     (folder / "second.MOV").write_bytes(b"")
     assert not video.detect(folder)
     with pytest.raises(TFLabError, match="2 videos"):
-        open_capture(folder, format="video")
+        open_capture(folder, ReadSettings(format="video"))
 
 
 @pytest.mark.parametrize("name", ["poses.txt", "K.txt"])
@@ -237,5 +238,5 @@ def test_missing_parts(written: Write, name: str) -> None:
 def test_intrinsics_of_another_size(written: Write) -> None:
     file = written()
     (file.parent / "K.txt").write_text("40 0 320 0 41 240 0 0 1")
-    with pytest.raises(TFLabError, match=r"K\.txt.*outside the 48x32"):
-        video.read(file)
+    with pytest.raises(TFLabError, match=r"outside the 48x32.*intrinsics_size="):
+        open_capture(file)

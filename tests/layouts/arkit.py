@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from layouts.video import write_video
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
-OPTIONS: dict[str, Any] = {}
+OPTIONS = ReadSettings()
 START, RATE = 1700000000.25, 30.0
 # our world's x, y, z are ARKit's x, -z, y
 ARKIT_R_WORLD = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

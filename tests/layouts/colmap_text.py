@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
 UNIT = 2.5  # metres
-OPTIONS: dict[str, Any] = {"gravity": [0, 0, -1], "scale": UNIT}
+OPTIONS = ReadSettings(gravity=(0, 0, -1), scale=UNIT)
 
 
 def cam_T_world(frame: Frame) -> tuple[list[float], list[float]]:

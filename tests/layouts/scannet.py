@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
-OPTIONS: dict[str, Any] = {}  # the format says where down is
+OPTIONS = ReadSettings()  # the format says where down is
 
 
 def write(directory: Path, frames: Sequence[Frame]) -> Path:

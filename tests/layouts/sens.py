@@ -6,14 +6,14 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
-OPTIONS: dict[str, Any] = {}  # the format says where down is
+OPTIONS = ReadSettings()  # the format says where down is
 RAW, PNG, JPEG = 0, 1, 2
 RAW_USHORT, ZLIB_USHORT = 0, 1
 

@@ -3,14 +3,14 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
-OPTIONS: dict[str, Any] = {"gravity": [0, 0, -1]}
+OPTIONS = ReadSettings(gravity=(0, 0, -1))
 
 
 def write(directory: Path, frames: Sequence[Frame]) -> Path:

@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
-OPTIONS: dict[str, Any] = {}  # the format says where down is
+OPTIONS = ReadSettings()  # the format says where down is
 START = 1305031102.175304
 COMMENTS = "# color images\n# file: 'rgbd_dataset.bag'\n# timestamp filename\n"
 

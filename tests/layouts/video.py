@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
+from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
-OPTIONS: dict[str, Any] = {"gravity": [0, 0, -1]}
+OPTIONS = ReadSettings(gravity=(0, 0, -1))
 
 
 def write_video(path: Path, images: Sequence[np.ndarray], codec: str = "png ") -> None:

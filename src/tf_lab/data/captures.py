@@ -21,6 +21,7 @@ from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.preparation import SceneJob, build_scenes
 from tf_lab.data.readers import capture_within, detect_format, open_capture
+from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene
@@ -36,16 +37,14 @@ class ImportSettings:
     Attributes:
         width, height: of the stored frames, pixels.
         keyframe_distance: pose distance between stored frames (see `keyframes`); 0: all.
-        format, gravity, scale: see `open_capture`.
+        read: how the source is read.
         groundtruth: how depth is fused.
     """
 
     width: int = 640
     height: int = 480
     keyframe_distance: float = 0.1
-    format: str | None = None
-    gravity: tuple[float, float, float] | None = None
-    scale: float | None = None
+    read: ReadSettings = AS_STATED
     groundtruth: GroundTruthSettings = field(default_factory=GroundTruthSettings)
 
     @property
@@ -95,7 +94,7 @@ def import_capture(directory: Path, source: Path, settings: ImportSettings, memo
     Raises:
         TFLabError: nothing usable is left.
     """
-    original = open_capture(source, settings.format, settings.gravity, settings.scale)
+    original = open_capture(source, settings.read)
     size = (settings.width, settings.height)
     capture = original if original.size == size else Resized(original, size)
     skipped = list(capture.skipped)

@@ -52,11 +52,6 @@ class Camera:
             raise TFLabError(f"the intrinsics {values} have NaN or infinity")
         if self.fx <= 0 or self.fy <= 0:
             raise TFLabError(f"fx = {self.fx:g}, fy = {self.fy:g} must be positive")
-        if not (0 <= self.cx < width and 0 <= self.cy < height):
-            raise TFLabError(
-                f"the principal point ({self.cx:g}, {self.cy:g}) lies outside the {width}x{height} "
-                "images; intrinsics and images must be of one size"
-            )
         allowed = (0, 4) if self.fisheye else (0, 4, 5, 8)
         if len(self.distortion) not in allowed:
             raise TFLabError(f"{len(self.distortion)} distortion coefficients; OpenCV has 4, 5, 8")
@@ -65,6 +60,11 @@ class Camera:
     def K(self) -> np.ndarray:
         """The camera matrix, float64 [3, 3]."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+    @property
+    def centred(self) -> bool:
+        """Whether the principal point lies in the image, as it does unless K is of others."""
+        return 0 <= self.cx < self.size[0] and 0 <= self.cy < self.size[1]
 
     @property
     def distorted(self) -> bool:

@@ -7,7 +7,6 @@ one, write the module and name it in `READERS`; turning z-up and metric happens 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,8 @@ from tf_lab.data.readers import (
     tum,
     video,
 )
+from tf_lab.data.readers.mend import mended
+from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -60,38 +61,34 @@ READERS: tuple[Reader, ...] = (
 SCENE = "scene"
 
 
-def open_capture(
-    path: Path | str,
-    format: str | None = None,
-    gravity: Sequence[float] | None = None,
-    scale: float | None = None,
-) -> Capture:
+def open_capture(path: Path | str, settings: ReadSettings = AS_STATED) -> Capture:
     """Open posed images as a capture in a z-up world in metres.
 
     Args:
         path: a prepared scene or a source in one of the layouts of `READERS`.
-        format: the layout's name; None recognises it.
-        gravity: the direction of gravity (down) in the source's world, for a source that does not
-            state it (see `tf_lab.data.gravity`); without it, it is estimated.
-        scale: metres per unit of the source's poses, for a source of unknown scale (COLMAP).
+        settings: how it is read.
 
     Raises:
-        TFLabError: the source is missing, of no known layout, or damaged.
+        TFLabError: the source is missing, of no known layout, or damaged, or the settings do not
+            fit it.
     """
     path = Path(path)
     if not path.exists():
         raise TFLabError(f"{path}: no such folder or file; give the folder of a capture or scene")
     readers = {reader.NAME: reader for reader in READERS}
-    name = _detect(path) if format is None else format
+    name = _detect(path) if settings.format is None else settings.format
     if name == SCENE:
-        if gravity is not None or scale is not None:
-            raise TFLabError(f"{path}: a prepared scene is z-up already, in metres; "
-                             "leave out gravity and scale")  # fmt: skip
+        if settings != ReadSettings(settings.format):
+            raise TFLabError(
+                f"{path}: a prepared scene is z-up already, in metres, and has been mended; leave "
+                "out gravity, scale and the mends, or prepare it again"
+            )
         return Scene(path)
     if name not in readers:
         known = ", ".join([SCENE, *readers])
         raise TFLabError(f"format={name}: no such layout; known are {known}")
-    return _upright(_metric(readers[name].read(path), path, scale), path, gravity)
+    capture = mended(readers[name].read(path), settings)
+    return _upright(_metric(capture, path, settings.scale), path, settings.gravity)
 
 
 def detect_format(path: Path) -> list[str]:
@@ -145,18 +142,20 @@ def _metric(capture: SourceCapture, path: Path, scale: float | None) -> SourceCa
             f"{path}: its unit of length is unknown (structure from motion gives none); give "
             "scale=METRES_PER_UNIT: a distance you know in metres over the same in the model"
         )
-    if not (math.isfinite(scale) and scale > 0):
-        raise TFLabError(f"scale={scale:g}: metres per unit of the poses, a positive number")
-    world_T_cam, source_T_world = capture.world_T_cam.copy(), np.eye(4)
+    world_T_cam, unit = capture.world_T_cam.copy(), np.eye(4)
     world_T_cam[:, :3, 3] *= scale
-    source_T_world[:3, :3] /= scale
+    unit[:3, :3] /= scale
+    source_T_world = capture.source_T_world @ unit
     return replace(capture, world_T_cam=world_T_cam, source_T_world=source_T_world)
 
 
 def _upright(capture: SourceCapture, path: Path, gravity: Sequence[float] | None) -> SourceCapture:
     """The capture in a world whose z axis points up."""
     directory = path if path.is_dir() else path.parent
-    down = find_down(directory, capture.world_T_cam, gravity, capture.down)
+    mirror = capture.source_T_world[:3, :3] / np.cbrt(np.abs(np.linalg.det(capture.source_T_world)))
+    seen = capture.world_T_cam.copy()
+    seen[:, :3] = mirror @ seen[:, :3]  # in the source's world
+    down = mirror.T @ find_down(directory, seen, gravity, capture.down)
     world_T_cam, source_R_world = align(capture.world_T_cam, down)
     turned = np.eye(4)
     turned[:3, :3] = source_R_world

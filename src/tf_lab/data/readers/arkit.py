@@ -29,11 +29,13 @@ from tf_lab.data.readers.parsing import (
     pose_of_quaternion,
     read_timeline,
 )
+from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, Pixels, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "arkit"
 LAYOUT = "Frames.txt, ARposes.txt, Frames.m4v or images/"
+CONVENTION = Convention(axes="opengl", quaternions="wxyz")
 DOWN = (0.0, -1.0, 0.0)
 OFF_CENTRE = 0.1  # of the image: principal points of phones are nearer to its middle
 
@@ -65,7 +67,7 @@ def read(directory: Path) -> SourceCapture:
             skipped.append(f"frame {words[0][:20]}: {error}")
             continue
         frames.append(SourceFrame(f"{int(words[0]):06d}", camera, pose, color))
-    return collect(directory, frames, skipped, DOWN)
+    return collect(directory, frames, skipped, DOWN, convention=CONVENTION)
 
 
 def _images(directory: Path, lines: Timeline) -> tuple[tuple[int, int], Sequence[Pixels]]:

@@ -20,11 +20,13 @@ import numpy as np
 from tf_lab.data.readers.colmap_model import ModelImage, has_model, read_model
 from tf_lab.data.readers.images import at_file_size, frame_names, is_file, natural_order
 from tf_lab.data.readers.parsing import pose_of_quaternion
+from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "colmap"
 LAYOUT = "images/, sparse/0/ with cameras and images (.bin or .txt)"
+CONVENTION = Convention(poses="world_to_camera", quaternions="wxyz")
 
 logger = logging.getLogger(__name__)
 
@@ -65,7 +67,7 @@ def read(directory: Path) -> SourceCapture:
         SourceFrame(name, camera, pose, ColorFile(file))
         for name, camera, (_, _, pose, file) in zip(names, sized, found, strict=True)
     ]
-    return collect(directory, frames, skipped, metric=False)
+    return collect(directory, frames, skipped, metric=False, convention=CONVENTION)
 
 
 def _model(directory: Path) -> Path | None:

@@ -13,6 +13,7 @@ import torch
 
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.data.lens import Camera, rectify_image, register_depth
+from tf_lab.data.readers.settings import OURS, Convention
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 
@@ -66,8 +67,9 @@ class SourceFrame:
         world_T_cam: [4, 4] in the source's world; may be invalid (frame lost).
         color: uint8 [H, W, 3] of ``camera.size``.
         depth: float32 [h, w], camera z in metres, 0 unknown; None without depth.
-        depth_camera: None: depth sees what the colour image shows, at its own resolution.
+        depth_camera: None: depth sees what ``depth_view`` does, at its own resolution.
         color_T_depth: [4, 4] from the depth camera to the colour camera; None: at one place.
+        depth_view: None: ``camera``.
     """
 
     name: str
@@ -77,6 +79,28 @@ class SourceFrame:
     depth: Pixels | None = None
     depth_camera: Camera | None = None
     color_T_depth: np.ndarray | None = None
+    depth_view: Camera | None = None
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a reader found, before anything is left out.
+
+    Attributes:
+        source: the file or folder.
+        frames: all that have an image, lost ones, too.
+        skipped: "frame: reason" of every other frame.
+        down: the direction of gravity [3] in the source's world, where its format states it.
+        metric: whether the poses are in metres; False: the scale is unknown.
+        convention: how the layout writes poses.
+    """
+
+    source: Path
+    frames: Sequence[SourceFrame]
+    skipped: Sequence[str]
+    down: Sequence[float] | None = None
+    metric: bool = True
+    convention: Convention = OURS
 
 
 @dataclass
@@ -88,8 +112,7 @@ class SourceCapture:
     Attributes:
         source: the frames with a usable pose.
         cameras: what their images become.
-        down: the direction of gravity [3] in the source's world, where its format states it.
-        metric: whether the poses are in metres; False: the scale is unknown.
+        given: what it is made of.
 
     The other attributes are those of `Capture`.
     """
@@ -102,12 +125,21 @@ class SourceCapture:
     K: np.ndarray
     world_T_cam: np.ndarray
     skipped: list[str]
-    down: Sequence[float] | None = None
-    metric: bool = True
+    given: Given
     source_T_world: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def __len__(self) -> int:
         return len(self.source)
+
+    @property
+    def down(self) -> Sequence[float] | None:
+        """The direction of gravity [3] in the source's world, where its format states it."""
+        return self.given.down
+
+    @property
+    def metric(self) -> bool:
+        """Whether the source's poses are in metres; False: the scale is unknown."""
+        return self.given.metric
 
     def image(self, index: int) -> np.ndarray:
         """uint8 [H, W, 3] RGB, undistorted. Raises TFLabError if unreadable or of a wrong size."""
@@ -128,7 +160,7 @@ class SourceCapture:
             return None
         depth = frame.depth()
         size = (depth.shape[1], depth.shape[0])
-        camera = frame.depth_camera or frame.camera.resized(size)
+        camera = frame.depth_camera or (frame.depth_view or frame.camera).resized(size)
         if camera.size != size:
             raise TFLabError(
                 f"{frame.depth}: is {size[0]}x{size[1]}, its camera "
@@ -143,24 +175,33 @@ def collect(
     skipped: Sequence[str],
     down: Sequence[float] | None = None,
     metric: bool = True,
+    convention: Convention = OURS,
 ) -> SourceCapture:
+    """The capture of what a reader found (see `Given` and `usable`)."""
+    given = Given(source, list(frames), skipped, down, metric, convention)
+    return usable(given, centred=False)  # intrinsics may still be mended
+
+
+def usable(given: Given, centred: bool = True) -> SourceCapture:
     """The capture of the frames with a usable pose; the others join ``skipped`` with a reason.
 
     Frames of another size than most are resized.
 
+    Args:
+        given: what a reader found.
+        centred: frames whose principal point lies outside of the image are left out, too.
+
     Raises:
         TFLabError: no frame is usable.
     """
-    kept, left_out = [], list(skipped)
-    for frame in frames:
-        if not np.isfinite(frame.world_T_cam).all():
-            left_out.append(f"{frame.name}: the pose has NaN or infinity (frame lost)")
-        elif not is_valid_pose(torch.from_numpy(frame.world_T_cam)):
-            left_out.append(f"{frame.name}: the pose is not a rigid transform")
-        elif np.abs(frame.world_T_cam[:3, 3]).max() > MAX_DISTANCE:
-            left_out.append(f"{frame.name}: the camera is impossibly far from the origin")
-        else:
+    source = given.source
+    kept, left_out = [], list(given.skipped)
+    for frame in given.frames:
+        reason = _why_unusable(frame, centred)
+        if reason is None:
             kept.append(frame)
+        else:
+            left_out.append(f"{frame.name}: {reason}")
     if not kept:
         found = f"all {len(left_out)} were left out, the first: {left_out[0]}" if left_out else ""
         raise TFLabError(
@@ -179,9 +220,26 @@ def collect(
         K=np.stack([camera.K for camera in cameras]),
         world_T_cam=np.stack([frame.world_T_cam for frame in kept]),
         skipped=left_out,
-        down=down,
-        metric=metric,
+        given=given,
     )
+
+
+def _why_unusable(frame: SourceFrame, centred: bool) -> str | None:
+    """Why a frame must be left out; None: it need not."""
+    if not np.isfinite(frame.world_T_cam).all():
+        return "the pose has NaN or infinity (frame lost)"
+    if not is_valid_pose(torch.from_numpy(frame.world_T_cam)):
+        return "the pose is not a rigid transform"
+    if np.abs(frame.world_T_cam[:3, 3]).max() > MAX_DISTANCE:
+        return "the camera is impossibly far from the origin"
+    for name, camera in (("", frame.camera), ("depth: ", frame.depth_camera)):
+        if centred and camera is not None and not camera.centred:
+            return (
+                f"{name}the principal point ({camera.cx:g}, {camera.cy:g}) lies outside the "
+                f"{camera.size[0]}x{camera.size[1]} images; intrinsics and images must be of one "
+                "size, or intrinsics_size=[WIDTH,HEIGHT] says which images they are of"
+            )
+    return None
 
 
 def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:

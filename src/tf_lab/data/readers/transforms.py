@@ -43,11 +43,13 @@ from tf_lab.data.readers.images import (
     natural_order,
 )
 from tf_lab.data.readers.parsing import opencv_of_opengl, read_text
+from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "transforms"
 LAYOUT = "transforms.json"
+CONVENTION = Convention(axes="opengl")
 DEPTH_UNIT = 0.001  # metres
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
@@ -97,7 +99,7 @@ def read(path: Path) -> SourceCapture:
         SourceFrame(name, camera, pose, ColorFile(entry.color), depth)
         for name, camera, depth, (entry, pose, _) in zip(names, cameras, depths, found, strict=True)
     ]
-    return collect(file.parent, frames, skipped)
+    return collect(file.parent, frames, skipped, convention=CONVENTION)
 
 
 def _read_json(file: Path) -> dict[str, Any]:

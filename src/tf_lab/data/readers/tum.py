@@ -31,11 +31,13 @@ from tf_lab.data.readers.parsing import (
     read_intrinsics,
     read_timeline,
 )
+from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "tum"
 LAYOUT = "rgb.txt, groundtruth.txt"
+CONVENTION = Convention(quaternions="xyzw")
 DOWN = (0.0, 0.0, -1.0)
 DEPTH_SCALE = 5000.0  # units a metre
 INTRINSICS = ("camera-intrinsics.txt", "K.txt")
@@ -91,7 +93,7 @@ def read(directory: Path) -> SourceCapture:
         SourceFrame(name, camera, pose, ColorFile(color), depth)
         for name, (color, pose, depth) in kept.items()
     ]
-    return collect(directory, frames, skipped, DOWN)
+    return collect(directory, frames, skipped, DOWN, convention=CONVENTION)
 
 
 def _pose(words: Sequence[str] | None) -> np.ndarray:
