@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from tf_lab.data.text import read_numbers
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import rotation_between
 
@@ -47,10 +48,7 @@ def find_down(
     if path.exists():
         if given is not None:
             logger.warning("%s is used, not the given gravity; remove it to use that", path)
-        try:
-            down = _unit([float(word) for word in path.read_text().split()], str(path))
-        except ValueError as error:
-            raise TFLabError(f"{path}: not three numbers ({error})") from error
+        down = _unit(read_numbers(path, "it holds three numbers"), str(path))
         source = DIRECTION_FILE
     elif given is not None:
         down, source = _unit(given, "gravity"), "as given"

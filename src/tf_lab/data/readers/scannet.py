@@ -17,7 +17,6 @@ the depth camera, as in the authors' point clouds. The world is metric, its z ax
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +24,13 @@ import torch
 
 from tf_lab.data.lens import Camera, camera_of
 from tf_lab.data.readers.images import image_files, image_size
-from tf_lab.data.readers.parsing import parse_pose, read_text
+from tf_lab.data.readers.parsing import read_pose
 from tf_lab.data.readers.sens import open_sens
 from tf_lab.data.readers.source import (
     ColorFile,
     DepthFile,
-    Pixels,
+    Rig,
     SourceCapture,
-    SourceFrame,
     collect,
 )
 from tf_lab.errors import TFLabError
@@ -41,6 +39,7 @@ from tf_lab.geometry import is_valid_pose
 NAME = "scannet"
 LAYOUT = "SCENE.sens, or color/, pose/, intrinsic/intrinsic_color.txt"
 DOWN = (0.0, 0.0, -1.0)
+CURE = "ScanNet's exporter writes 4x4 numbers there"
 
 
 def detect(path: Path) -> bool:
@@ -70,24 +69,6 @@ def _is_export(path: Path) -> bool:
     return all(part.is_dir() for part in parts) and _intrinsics(path, "color").is_file()
 
 
-@dataclass(frozen=True)
-class _Rig:
-    """Both cameras of a scene; color_T_depth [4, 4] is None where they are at one place."""
-
-    color: Camera
-    depth: Camera | None
-    color_T_depth: np.ndarray | None
-
-    def frame(
-        self, name: str, pose: np.ndarray, color: Pixels, depth: Pixels | None
-    ) -> SourceFrame:
-        if self.color_T_depth is not None and np.isfinite(pose).all():
-            pose = pose @ np.linalg.inv(self.color_T_depth)  # the colour camera's
-        if self.depth is None or depth is None:
-            return SourceFrame(name, self.color, pose, color)
-        return SourceFrame(name, self.color, pose, color, depth, self.depth, self.color_T_depth)
-
-
 def _camera(K: np.ndarray, size: tuple[int, int], where: str) -> Camera:
     try:
         return camera_of(K[:3, :3], size)
@@ -111,7 +92,7 @@ def _read_stream(source: Path, path: Path) -> SourceCapture:
     sens = open_sens(path)
     header = sens.header
     has_depth = header.depth_size != (0, 0)
-    rig = _Rig(
+    rig = Rig(
         _camera(header.color_K, header.color_size, f"{path}, colour"),
         _camera(header.depth_K, header.depth_size, f"{path}, depth") if has_depth else None,
         _color_T_depth(
@@ -136,13 +117,13 @@ def _read_export(directory: Path) -> SourceCapture:
     if depths:
         depth = _export_camera(directory, "depth", list(depths.values()))
     extrinsics = _extrinsics(directory, "color"), _extrinsics(directory, "depth")
-    rig = _Rig(color, depth, _color_T_depth(*extrinsics))
+    rig = Rig(color, depth, _color_T_depth(*extrinsics))
     posed = sorted(path.stem for path in (directory / "pose").glob("*.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
     for name, image in colors.items():
         try:
-            pose = _read_matrix(directory / "pose" / f"{name}.txt")
+            pose = read_pose(directory / "pose" / f"{name}.txt", CURE)
         except TFLabError as error:
             skipped.append(f"{name}: {error}")
             continue
@@ -157,17 +138,9 @@ def _intrinsics(directory: Path, camera: str) -> Path:
 
 def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:
     path = _intrinsics(directory, camera)
-    return _camera(_read_matrix(path), image_size(images), str(path))
+    return _camera(read_pose(path, CURE), image_size(images), str(path))
 
 
 def _extrinsics(directory: Path, camera: str) -> np.ndarray:
     path = directory / "intrinsic" / f"extrinsic_{camera}.txt"
-    return _rigid(_read_matrix(path), str(path)) if path.exists() else np.eye(4)
-
-
-def _read_matrix(path: Path) -> np.ndarray:
-    cure = "ScanNet's exporter writes 4x4 numbers there"
-    try:
-        return parse_pose(read_text(path, cure))
-    except ValueError as error:
-        raise TFLabError(f"{path}: {error}; {cure}") from error
+    return _rigid(read_pose(path, CURE), str(path)) if path.exists() else np.eye(4)

@@ -79,6 +79,32 @@ class SourceFrame:
     color_T_depth: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Rig:
+    """A colour and a depth camera mounted together, as the poses of the depth camera are given.
+
+    Attributes:
+        color: the colour camera.
+        depth: the depth camera; None: depth sees what the colour image shows.
+        color_T_depth: [4, 4] from the depth camera to the colour camera; None: at one place.
+    """
+
+    color: Camera
+    depth: Camera | None = None
+    color_T_depth: np.ndarray | None = None
+
+    def frame(
+        self, name: str, world_T_depth: np.ndarray, color: Pixels, depth: Pixels | None
+    ) -> SourceFrame:
+        """A frame by the pose [4, 4] of the depth camera (not finite: lost)."""
+        pose = world_T_depth
+        if self.color_T_depth is not None and np.isfinite(pose).all():
+            pose = pose @ np.linalg.inv(self.color_T_depth)
+        if depth is None:
+            return SourceFrame(name, self.color, pose, color)
+        return SourceFrame(name, self.color, pose, color, depth, self.depth, self.color_T_depth)
+
+
 @dataclass
 class SourceCapture:
     """A `Capture` of a source's frames, as pinhole images of one size.
