@@ -12,11 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tf_lab.data.lens import Camera, camera_of
+from tf_lab.data.readers.images import image_size
 from tf_lab.data.text import parse_numbers, read_lines, read_numbers
 from tf_lab.data.text import read_text as read_text
 from tf_lab.errors import TFLabError
 
 MAX_GAP = 0.02  # seconds between an image and its pose: under a frame at 30 Hz
+K_CURE = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"
 ROUNDING = 1e-6  # seconds; timestamps are written with six decimals
 
 
@@ -97,14 +99,31 @@ def read_intrinsics(path: Path, size: tuple[int, int]) -> Camera:
     Raises:
         TFLabError: the file is missing, or this is not the K of such images.
     """
-    cure = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"
-    values = read_numbers(path, cure)
+    return _camera(path, _read_K(path), size)
+
+
+def read_camera(path: Path, images: Sequence[Path]) -> Camera:
+    """A text file of 3x3 numbers as the camera of image files, of the size that it fits.
+
+    Raises:
+        TFLabError: the file is missing, or this is not the K of such images.
+    """
+    K = _read_K(path)
+    return _camera(path, K, image_size(images, (K[0, 2], K[1, 2])))
+
+
+def _read_K(path: Path) -> np.ndarray:
+    values = read_numbers(path, K_CURE)
     if len(values) != 9:
-        raise TFLabError(f"{path}: {len(values)} values instead of 9; {cure}")
+        raise TFLabError(f"{path}: {len(values)} values instead of 9; {K_CURE}")
+    return np.array(values).reshape(3, 3)
+
+
+def _camera(path: Path, K: np.ndarray, size: tuple[int, int]) -> Camera:
     try:
-        return camera_of(np.array(values).reshape(3, 3), size)
+        return camera_of(K, size)
     except TFLabError as error:
-        raise TFLabError(f"{path}: {error}; {cure}") from error
+        raise TFLabError(f"{path}: {error}; {K_CURE}") from error
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from tf_lab.data.lens import Camera, camera_of
-from tf_lab.data.readers.images import image_files, image_size
+from tf_lab.data.readers.images import image_files, image_size, match_depths
 from tf_lab.data.readers.parsing import read_pose
 from tf_lab.data.readers.sens import open_sens
 from tf_lab.data.readers.source import (
@@ -101,19 +101,18 @@ def _read_stream(source: Path, path: Path) -> SourceCapture:
         ),
     )
     frames = [
-        rig.frame(str(i), frame.pose, frame.color, frame.depth)
-        for i, frame in enumerate(sens.frames)
+        rig.frame(str(frame.color.block.frame), frame.pose, frame.color, frame.depth)
+        for frame in sens.frames
     ]
-    return collect(source, frames, [] if sens.missing is None else [sens.missing], DOWN)
+    return collect(source, frames, sens.missing, DOWN)
 
 
 def _read_export(directory: Path) -> SourceCapture:
     colors = {path.stem: path for path in image_files(directory / "color")}
-    folder = directory / "depth"
-    depths = {path.stem: path for path in image_files(folder)} if folder.is_dir() else {}
     if not colors:
         raise TFLabError(f"{directory / 'color'}: no JPEG or PNG image in it; export the scene")
     color, depth = _export_camera(directory, "color", list(colors.values())), None
+    depths = match_depths(directory / "depth", list(colors.values()))
     if depths:
         depth = _export_camera(directory, "depth", list(depths.values()))
     extrinsics = _extrinsics(directory, "color"), _extrinsics(directory, "depth")
@@ -127,7 +126,7 @@ def _read_export(directory: Path) -> SourceCapture:
         except TFLabError as error:
             skipped.append(f"{name}: {error}")
             continue
-        file = DepthFile(depths[name]) if name in depths else None
+        file = DepthFile(depths[image]) if image in depths else None
         frames.append(rig.frame(name, pose, ColorFile(image), file))
     return collect(directory, frames, skipped, DOWN)
 
@@ -138,7 +137,8 @@ def _intrinsics(directory: Path, camera: str) -> Path:
 
 def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:
     path = _intrinsics(directory, camera)
-    return _camera(read_pose(path, CURE), image_size(images), str(path))
+    K = read_pose(path, CURE)
+    return _camera(K, image_size(images, (K[0, 2], K[1, 2])), str(path))
 
 
 def _extrinsics(directory: Path, camera: str) -> np.ndarray:

@@ -18,13 +18,14 @@ them, the poses those of that one camera.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers.images import image_files, image_size
-from tf_lab.data.readers.parsing import read_intrinsics, read_pose
+from tf_lab.data.readers.parsing import read_camera, read_pose
 from tf_lab.data.readers.source import ColorFile, DepthFile, Rig, SourceCapture, collect
 from tf_lab.errors import TFLabError
 
@@ -59,7 +60,7 @@ def read(directory: Path) -> SourceCapture:
             f"{directory}: no frame-XXXXXX.color.jpg or .png in it; give the folder "
             "that holds the frames themselves"
         )
-    rig = _rig(directory / "camera-intrinsics.txt", image_size(colors.values()))
+    rig = _rig(directory / "camera-intrinsics.txt", list(colors.values()))
     posed = sorted(path.name.split(".")[0] for path in directory.glob("frame-*.pose.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
@@ -75,9 +76,9 @@ def read(directory: Path) -> SourceCapture:
     return collect(directory, frames, skipped)
 
 
-def _rig(intrinsics: Path, size: tuple[int, int]) -> Rig:
-    """The cameras of the sequence whose colour images are of (width, height) ``size``."""
-    if size == COLOR.size and not intrinsics.exists():
+def _rig(intrinsics: Path, images: Sequence[Path]) -> Rig:
+    """The cameras of the sequence with these colour images."""
+    if not intrinsics.exists() and image_size(images) == COLOR.size:
         return PUBLISHED
-    camera = read_intrinsics(intrinsics, size)
+    camera = read_camera(intrinsics, images)
     return PUBLISHED if camera == DEPTH else Rig(camera)

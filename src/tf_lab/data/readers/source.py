@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -29,13 +29,14 @@ class Pixels(Protocol):
 
 @dataclass(frozen=True)
 class ColorFile:
-    """uint8 [H, W, 3] of an image file."""
+    """uint8 [H, W, 3] of an image file, turned if EXIF data says so and ``size`` needs it."""
 
     path: Path
+    size: tuple[int, int] | None = None
 
     def __call__(self) -> np.ndarray:
         """Read it."""
-        return read_image(self.path)
+        return read_image(self.path, self.size)
 
     def __str__(self) -> str:
         return str(self.path)
@@ -43,10 +44,10 @@ class ColorFile:
 
 @dataclass(frozen=True)
 class DepthFile:
-    """float32 [H, W] metres of a 16-bit depth PNG with ``scale`` units a metre."""
+    """float32 [H, W] metres of a depth map with ``scale`` units a metre (see `read_depth`)."""
 
     path: Path
-    scale: float = 1000.0
+    scale: float | None = None
 
     def __call__(self) -> np.ndarray:
         """Read it."""
@@ -178,7 +179,7 @@ def collect(
         TFLabError: no frame is usable.
     """
     kept, left_out = [], list(skipped)
-    for frame in frames:
+    for frame in map(_sized, frames):
         if not np.isfinite(frame.world_T_cam).all():
             left_out.append(f"{frame.name}: the pose has NaN or infinity (frame lost)")
         elif not is_valid_pose(torch.from_numpy(frame.world_T_cam)):
@@ -208,6 +209,13 @@ def collect(
         down=down,
         metric=metric,
     )
+
+
+def _sized(frame: SourceFrame) -> SourceFrame:
+    """The frame, its image file knowing the size that the camera says."""
+    if not isinstance(frame.color, ColorFile):
+        return frame
+    return replace(frame, color=replace(frame.color, size=frame.camera.size))
 
 
 def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:
