@@ -144,9 +144,7 @@ def _usual_scale(raw: np.ndarray, path: Path) -> float:
     """Units per metre of depth [H, W] of unstated unit. Raises TFLabError: nobody knows."""
     cure = "give depth_scale=UNITS_PER_METRE"
     if raw.dtype.itemsize == 1:
-        raise TFLabError(
-            f"{path}: 8-bit depth has no known unit (16-bit is in millimetres); {cure}"
-        )
+        raise TFLabError(f"{path}: 8-bit depth has no usual unit (16-bit: millimetres); {cure}")
     if raw.dtype.kind != "f":
         return 1000.0
     known = raw[np.isfinite(raw) & (raw > 0)]

@@ -1,7 +1,8 @@
 """Where the cameras of a capture are: a room's size apart, and near the origin of its world.
 
-Everything after the readers computes in single precision, which far from the origin (UTM, geocentric
-coordinates) is worth decimetres; and metres are what most formats mean and not all users write.
+Everything after the readers computes in single precision, which far from the origin (UTM,
+geocentric coordinates) is worth decimetres; and metres are what most formats mean and not all users
+write.
 """
 
 from __future__ import annotations
