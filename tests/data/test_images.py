@@ -10,7 +10,7 @@ from PIL import ExifTags, Image
 
 from tf_lab.data.capture import Capture, read_depth, read_image
 from tf_lab.data.lens import Camera
-from tf_lab.data.readers import open_capture
+from tf_lab.data.readers import open_capture, plain
 from tf_lab.data.readers.images import at_file_size, image_size, match_depths
 from tf_lab.errors import TFLabError
 
@@ -205,6 +205,7 @@ PAIRS = {
     "padded": ["depth-002", "depth-010", "depth-011"],
     "some numbers": ["10.depth"],
     "order": ["a", "b", "c"],
+    "order, other numbers": ["1", "2", "10"],
 }
 
 
@@ -220,13 +221,15 @@ def test_depth_files_find_their_images(
     which = [1] if kind.startswith("some") else [0, 1, 2]
     paired = {IMAGES[i]: name for i, name in zip(which, PAIRS[kind], strict=True)}
     assert {image.stem: depth.stem for image, depth in found.items()} == paired
-    assert not caplog.records
+    assert ("by their order" in caplog.text) == kind.startswith("order")
+    assert len(caplog.records) == kind.startswith("order")
 
 
 @pytest.mark.parametrize(
     ("files", "message"),
     [
         (["a.png", "b.png"], "not used: 2 depth files, 3 images, and names as a.png"),
+        (["2.png", "3.png"], "not used: 2 depth files"),
         (["frame_2.exr"], "not used: none of .png, .npy"),
         (["frame_2.png", "x.png"], "1 of its files belong to no image"),
     ],
@@ -242,3 +245,14 @@ def test_depth_that_is_not_used_is_told(
     with caplog.at_level(logging.WARNING):
         match_depths(tmp_path / "depth", images)
     assert message in caplog.text
+
+
+def test_a_folder_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write(tmp_path / "a")
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)  # root may read everything
+    with pytest.raises(TFLabError, match=r"images: cannot be read \(Permission denied\)"):
+        plain.read(folder)

@@ -106,7 +106,10 @@ def upright_size(image: Image.Image) -> tuple[int, int]:
     """(width, height) of a picture after turning it as its EXIF data asks for (JPEG only)."""
     if image.format not in ("JPEG", "MPO"):
         return image.size
-    lying = image.getexif().get(ExifTags.Base.Orientation, 1) in (5, 6, 7, 8)
+    try:
+        lying = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
+    except Exception:  # damaged data makes Pillow raise nearly anything
+        lying = False
     return image.size[::-1] if lying else image.size
 
 
@@ -124,7 +127,7 @@ def read_depth(path: Path, scale: float | None = None) -> np.ndarray:
     """
     try:
         if path.suffix.lower() == ".npy":
-            raw = np.load(path, allow_pickle=False)
+            raw = np.asarray(np.load(path, allow_pickle=False))
         else:
             with Image.open(path) as image:
                 raw = np.asarray(image)

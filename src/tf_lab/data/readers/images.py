@@ -32,12 +32,19 @@ def is_file(path: Path) -> bool:
 
 
 def image_files(directory: Path) -> list[Path]:
-    """The visible JPEG and PNG files of a directory, in natural order (img2 before img10)."""
+    """The visible JPEG and PNG files of a directory, in natural order (img2 before img10).
+
+    Raises:
+        TFLabError: the directory cannot be read.
+    """
     return _files(directory, IMAGE_SUFFIXES)
 
 
 def _files(directory: Path, suffixes: Sequence[str]) -> list[Path]:
-    files = (path for path in directory.iterdir() if path.suffix.lower() in suffixes)
+    try:
+        files = [path for path in directory.iterdir() if path.suffix.lower() in suffixes]
+    except OSError as error:
+        raise TFLabError(f"{directory}: cannot be read ({error.strerror})") from error
     return sorted((path for path in files if not path.name.startswith(".")), key=natural_order)
 
 
@@ -132,13 +139,16 @@ def _size_of_shape(files: Sequence[Path], shape: tuple[int, int]) -> tuple[int, 
 def match_depths(folder: Path, images: Sequence[Path]) -> dict[Path, Path]:
     """The depth files in a folder by the images they belong to; there may be none.
 
-    They go by equal stems, else by the last number in the names, else, if there are as many, by
-    their order; a warning says what is left over.
+    They go by equal stems, else by the last number in the names if that finds an image for each,
+    else, if there are as many, by their order; a warning says so, and what is left over.
     """
     files = _files(folder, DEPTH_SUFFIXES) if folder.is_dir() else []
     found = _paired(images, files, lambda path: path.stem)
-    found = found or _paired(images, files, _last_number)
-    if not found and len(files) == len(images):
+    if not found:
+        by_number = _paired(images, files, _last_number)
+        found = by_number if len(by_number) == len(files) else {}  # else they count otherwise
+    if files and not found and len(files) == len(images):
+        logger.warning("%s: its files are taken for the images' by their order", folder)
         found = dict(zip(images, files, strict=True))
     if files and not found:
         logger.warning(
