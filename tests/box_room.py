@@ -59,15 +59,30 @@ def depth_image(
     return np.where(hit, np.minimum(enter, wall), wall)  # camera z = ray parameter, rays have z = 1
 
 
-def color_image(pose: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """uint8 [h, w, 3]: a random colour for each 8 cm cell of the world that a pixel shows."""
-    K = intrinsics((depth.shape[1], depth.shape[0]))
+def _seen(pose: np.ndarray, depth: np.ndarray, K: np.ndarray | None = None) -> np.ndarray:
+    """The world points [h, w, 3] that the pixels of a depth image show."""
+    K = intrinsics((depth.shape[1], depth.shape[0])) if K is None else K
     v, u = np.indices(depth.shape)
     camera = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], -1)
-    world = (camera * depth[..., None]) @ pose[:3, :3].T + pose[:3, 3]
-    cells = np.floor((world + 7) / 0.08).astype(np.int64) % 64
+    return np.asarray((camera * depth[..., None]) @ pose[:3, :3].T + pose[:3, 3])
+
+
+def color_image(pose: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """uint8 [h, w, 3]: a random colour for each 8 cm cell of the world that a pixel shows."""
+    cells = np.floor((_seen(pose, depth) + 7) / 0.08).astype(np.int64) % 64
     table = np.random.default_rng(5).integers(0, 256, (64, 64, 64, 3), np.uint8)
     return table[cells[..., 0], cells[..., 1], cells[..., 2]]
+
+
+def place_image(pose: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """uint8 [h, w, 3]: each pixel's colour says which point of the room it shows (`places`)."""
+    points = _seen(pose, depth_image(pose, K, size), K)
+    return np.round((points - ROOM[0]) / (ROOM[1] - ROOM[0]) * 255).astype(np.uint8)
+
+
+def places(image: np.ndarray) -> np.ndarray:
+    """The world points [h, w, 3] in metres, to 6 mm, that a `place_image` shows."""
+    return np.asarray(ROOM[0] + image / 255 * (ROOM[1] - ROOM[0]))
 
 
 def frames() -> Iterator[Frame]:

@@ -1,4 +1,4 @@
-"""Reading meshes that others wrote."""
+"""Mesh files: reading those that others wrote, writing ours."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 import trimesh
 
 from tf_lab.errors import TFLabError
+
+FAR = 1000.0  # metres; single precision is worth 0.1 mm there
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
@@ -38,3 +40,28 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise TFLabError(f"{path}: a face refers to a vertex that does not exist; write it again")
     return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def write_mesh(mesh: trimesh.Trimesh, path: Path) -> None:
+    """Write a mesh as binary PLY; one far from the origin in double precision, and without colours.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if not len(mesh.vertices) or np.abs(mesh.vertices).max() <= FAR:
+        mesh.export(path, file_type="ply")
+        return
+    vertices = np.asarray(mesh.vertices, "<f8").view([(axis, "<f8") for axis in "xyz"])[:, 0]
+    faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    text = "".join(f"{line}\n" for line in header)
+    path.write_bytes(text.encode() + vertices.tobytes() + faces.tobytes())

@@ -29,7 +29,7 @@ from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate_scene, format_table
 from tf_lab.files import atomic_path
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes import read_mesh, write_mesh
 from tf_lab.network.network import Network
 from tf_lab.pictures import compare
 from tf_lab.progress import progress_bar
@@ -54,7 +54,7 @@ def main(cfg: DictConfig) -> None:
     if config["source_frame"]:
         mesh = _in_source_frame(mesh, capture)
     with atomic_path(output) as temporary:
-        mesh.export(temporary, file_type="ply")
+        write_mesh(mesh, temporary)
     skipped = [*capture.skipped, *result.skipped]
     print(
         f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames in "

@@ -186,3 +186,18 @@ def test_the_sources_world(reconstruct: Callable[..., Result], mine: Path) -> No
     back = np.asarray(source.vertices) @ turn[:3, :3]
     np.testing.assert_allclose(back, up.vertices, atol=1e-5)
     np.testing.assert_array_equal(source.faces, up.faces)
+
+
+def test_a_world_far_from_its_origin(reconstruct: Callable[..., Result], mine: Path) -> None:
+    """As of a survey (UTM): the mesh near the origin, or where the poses are, to the millimetre."""
+    place = np.array([688123.0, 5334567.0, 512.0])
+    assert reconstruct("input=mine", "output=near.ply").status == 0
+    poses = np.loadtxt(mine / "poses.txt").reshape(-1, 4, 4)
+    poses[:, :3, 3] += place
+    np.savetxt(mine / "poses.txt", poses.reshape(-1, 16))
+    assert reconstruct("input=mine", "output=up.ply").status == 0
+    assert reconstruct("input=mine", "output=source.ply", "source_frame=true").status == 0
+    near, up, source = (load(Path(f"{name}.ply")) for name in ("near", "up", "source"))
+    assert len(up.faces) == pytest.approx(len(near.faces), rel=0.2)
+    np.testing.assert_allclose(source.bounds - place, near.bounds, atol=0.1)
+    np.testing.assert_allclose(source.edges_unique_length, up.edges_unique_length, atol=1e-4)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from layouts import plain, room_frames, seven_scenes
+from layouts import plain, room_frames, sens, seven_scenes
+from tf_lab.data import captures
 from tf_lab.data.captures import (
     ImportSettings,
     find_captures,
@@ -18,7 +19,7 @@ from tf_lab.data.captures import (
 )
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.keyframes import pose_distance
-from tf_lab.data.readers import open_capture
+from tf_lab.data.readers import detect_format, open_capture
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -141,6 +142,32 @@ def test_no_capture(tmp_path: Path) -> None:
         find_captures(tmp_path / "nowhere")
     with pytest.raises(TFLabError, match=r"no capture in it.*docs/data\.md"):
         find_captures(tmp_path)
+
+
+def test_a_root_with_other_things_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    frames = room_frames()[:1]
+    plain.write(tmp_path / "kitchen", frames)
+    for name in ("kitchen", "hall"):
+        sens.write(tmp_path / "scan", frames).rename(tmp_path / f"{name}.sens")
+    for name in ("kitchen.mp4", "prepare.json", "notes.txt", ".hidden.sens"):
+        (tmp_path / name).write_bytes(b"{}")
+    for name in ("scan", "locked"):
+        (tmp_path / name).mkdir(exist_ok=True)
+
+    def refusing(path: Path) -> list[str]:
+        if path.name == "locked":  # as stat does for a folder of another user
+            raise PermissionError(13, "Permission denied", str(path))
+        return detect_format(path)
+
+    monkeypatch.setattr(captures, "detect_format", refusing)
+    assert find_captures(tmp_path) == {
+        "kitchen": tmp_path / "kitchen",
+        "kitchen.sens": tmp_path / "kitchen.sens",
+        "hall": tmp_path / "hall.sens",
+    }
+    assert f"{tmp_path / 'locked'}: left out, it cannot be read (Permission denied)" in caplog.text
 
 
 @pytest.mark.parametrize("given", ["scans", "scans/kitchen/seq-01"])

@@ -66,17 +66,18 @@ def test_cameras_that_never_turn_fall_back_to_their_own_down(
 @pytest.mark.parametrize("down", [[0, 0, -1], [0, 0, 1], [0, 2, 0], [0.1, 0.9, 0.4]])
 def test_align_takes_down_to_minus_z_and_tells_the_way_back(down: list[float]) -> None:
     source = handheld(yaw_spread=60)
-    upright, source_R_world = align(source, np.array(down, float))
+    upright, source_T_world = align(source, np.array(down, float))
     direction = np.array(down) / np.linalg.norm(down)
-    np.testing.assert_allclose(source_R_world @ [0, 0, -1], direction, atol=1e-12)
-    np.testing.assert_allclose(source_R_world @ upright[:, :3], source[:, :3], atol=1e-12)
+    np.testing.assert_allclose(source_T_world @ [0, 0, -1, 0], [*direction, 0], atol=1e-12)
+    np.testing.assert_allclose(source_T_world @ upright, source, atol=1e-12)
+    np.testing.assert_array_equal(source_T_world[:3, 3], 0)
     np.testing.assert_array_equal(upright[:, 3], source[:, 3])
 
 
 def test_a_world_that_is_z_up_stays_as_it_is() -> None:
     source = handheld(yaw_spread=60)
-    upright, source_R_world = align(source, np.array([0.0, 0.0, -1.0]))
-    np.testing.assert_array_equal(source_R_world, np.eye(3))
+    upright, source_T_world = align(source, np.array([0.0, 0.0, -1.0]))
+    np.testing.assert_array_equal(source_T_world, np.eye(4))
     np.testing.assert_array_equal(upright, source)
 
 

@@ -174,7 +174,7 @@ def test_unusable_poses_are_skipped_and_listed(
         (b"1 2 3", "3 values"),
         (b"a " * 16, "could not convert"),
         (b"", "0 values"),
-        (None, "No such"),
+        (None, "missing"),
     ],
 )
 def test_seven_scenes_bad_pose_file_skips_the_frame(
@@ -198,7 +198,7 @@ def test_seven_scenes_as_published_has_no_intrinsics_file(
         Image.new("RGB", (640, 480)).save(directory / f"frame-{i:06d}.color.png")
         np.savetxt(directory / f"frame-{i:06d}.pose.txt", pose, fmt="%.17g")
     capture = open_capture(directory, ReadSettings(gravity=DOWN))
-    np.testing.assert_array_equal(capture.K[0], [[585, 0, 320], [0, 585, 240], [0, 0, 1]])
+    np.testing.assert_array_equal(capture.K[0], [[525, 0, 320], [0, 525, 240], [0, 0, 1]])
     other = written("seven_scenes")  # of another size: nothing is assumed
     (other / "camera-intrinsics.txt").unlink()
     with pytest.raises(TFLabError, match=r"camera-intrinsics\.txt: missing"):

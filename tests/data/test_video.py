@@ -1,7 +1,6 @@
 """Videos with poses: the right frame at every number, in the right colours; and damage."""
 
 import pickle
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from layouts.video import write_video
+from layouts.video import held_upright, write_video
 from tf_lab.data.readers import open_capture, video
 from tf_lab.data.readers.frames_of_video import Video
 from tf_lab.data.readers.settings import ReadSettings
@@ -132,16 +131,8 @@ def test_one_pose_a_frame(written: Write, suffix: str, poses: int, message: str)
         video.read(written(suffix, poses))
 
 
-def rotated(content: bytes) -> bytes:
-    """The mp4 file, with the mark of a phone held upright: to be turned clockwise."""
-    matrix = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
-    at = content.index(b"tkhd") + 44
-    assert struct.unpack(">9i", content[at : at + 36])[:2] == (1 << 16, 0)
-    return content[:at] + matrix + content[at + 36 :]
-
-
 def test_phones_held_upright(tmp_path: Path, coded: dict[str, bytes]) -> None:
-    (tmp_path / "a.mp4").write_bytes(rotated(coded["mp4"]))
+    (tmp_path / "a.mp4").write_bytes(held_upright(coded["mp4"]))
     upright, stored = Video(tmp_path / "a.mp4"), Video(tmp_path / "a.mp4", upright=False)
     assert (upright.size, stored.size) == (SIZE[::-1], SIZE)
     assert number_in(stored.read(7)) == 7

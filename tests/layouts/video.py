@@ -1,5 +1,6 @@
 """A video, poses.txt, K.txt. The video is coded without loss, so that images can be compared."""
 
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +22,14 @@ def write_video(path: Path, images: Sequence[np.ndarray], codec: str = "png ") -
     for image in images:
         writer.write(np.ascontiguousarray(image[:, :, ::-1]))
     writer.release()
+
+
+def held_upright(content: bytes) -> bytes:
+    """The mp4 file, with the mark of a phone held upright: to be turned clockwise."""
+    matrix = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
+    at = content.index(b"tkhd") + 44
+    assert struct.unpack(">9i", content[at : at + 36])[:2] == (1 << 16, 0)
+    return content[:at] + matrix + content[at + 36 :]
 
 
 def write(directory: Path, frames: Sequence[Frame]) -> Path:

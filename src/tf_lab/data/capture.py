@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Protocol
 
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 
 from tf_lab.errors import TFLabError
+
+MAX_METRES = 50.0  # rooms are smaller, in the median of a picture
 
 
 class Capture(Protocol):
@@ -22,7 +25,7 @@ class Capture(Protocol):
         world_T_cam: float64 [N, 4, 4] in a z-up, metric world. Valid (finite, rigid) for every
             frame: frames without a usable pose are left out and listed in ``skipped``.
         source_T_world: float64 [4, 4] from this world back to the source's: a rotation, with the
-            source's units per metre.
+            source's units per metre, and the way to the origin of a world far from its cameras.
         skipped: "frame: reason" of every frame left out.
     """
 
@@ -43,13 +46,18 @@ class Capture(Protocol):
         ...
 
 
-def read_image(path: Path) -> np.ndarray:
+def read_image(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     """An image file as uint8 [H, W, 3] RGB.
+
+    Args:
+        path: the file.
+        size: (width, height) of what it shall be. A JPEG of another size is turned as its EXIF
+            data asks for, if it then has this one.
 
     Raises:
         TFLabError: the file is missing, truncated or not an image.
     """
-    return decode_image(path, path)
+    return _decode(path, path, lambda image: _turned(image, size))
 
 
 def decode_image(
@@ -65,35 +73,96 @@ def decode_image(
     Raises:
         TFLabError: it is missing, truncated, not an image, or of another size.
     """
+
+    def check(image: Image.Image) -> Image.Image:
+        if size is not None and image.size != size:
+            raise ValueError(f"it is {image.width}x{image.height}, not {size[0]}x{size[1]}")
+        return image
+
+    return _decode(source, name, check)
+
+
+def _decode(
+    source: Path | IO[bytes], name: object, prepare: Callable[[Image.Image], Image.Image]
+) -> np.ndarray:
     try:
-        with Image.open(source) as image:
-            if size is not None and image.size != size:
-                raise ValueError(f"it is {image.width}x{image.height}, not {size[0]}x{size[1]}")
-            return np.asarray(image.convert("RGB"))
+        with Image.open(source) as opened:
+            image = prepare(opened)
+            if not image.mode.startswith("I"):
+                return np.asarray(image.convert("RGB"))
+            grey = np.asarray(image).clip(0, 65535) >> 8  # 16 bits; convert would cut them off
+            return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
     except Exception as error:  # damaged data makes Pillow raise nearly anything
         raise TFLabError(f"{name}: cannot be read as an image ({error})") from error
 
 
-def read_depth(path: Path, scale: float = 1000.0) -> np.ndarray:
-    """A 16-bit depth PNG as float32 [H, W] metres; 0 and 65535 mean "no reading" and give 0.
+def _turned(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
+    if size is None or image.size == size or upright_size(image) != size:
+        return image
+    return ImageOps.exif_transpose(image)
+
+
+def upright_size(image: Image.Image) -> tuple[int, int]:
+    """(width, height) of a picture after turning it as its EXIF data asks for (JPEG only)."""
+    if image.format not in ("JPEG", "MPO"):
+        return image.size
+    try:
+        lying = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
+    except Exception:  # damaged data makes Pillow raise nearly anything
+        lying = False
+    return image.size[::-1] if lying else image.size
+
+
+def read_depth(path: Path, scale: float | None = None) -> np.ndarray:
+    """A depth map as float32 [H, W] metres, 0 where there is no reading.
 
     Args:
-        path: the file.
-        scale: units per metre (1000: millimetres).
+        path: a one-channel PNG, TIFF or ``.npy``. 0, 65535, NaN, infinity and negative values mean
+            "no reading".
+        scale: units per metre; None: 16-bit values are millimetres, floating-point ones metres.
 
     Raises:
-        TFLabError: the file is missing, truncated or not a one-channel image.
+        TFLabError: the file is missing, truncated or not a one-channel image, or its unit is
+            unknown.
     """
     try:
-        with Image.open(path) as image:
-            raw = np.asarray(image)
+        if path.suffix.lower() == ".npy":
+            raw = np.asarray(np.load(path, allow_pickle=False))
+        else:
+            with Image.open(path) as image:
+                raw = np.asarray(image)
     except Exception as error:  # damaged data makes Pillow raise nearly anything
         raise TFLabError(f"{path}: cannot be read as a depth image ({error})") from error
+    if raw.ndim == 3 and 1 in (raw.shape[0], raw.shape[2]):
+        raw = raw.squeeze(axis=0 if raw.shape[0] == 1 else 2)
     if raw.ndim != 2:
-        raise TFLabError(f"{path}: a depth image has one channel, this one has {raw.shape[-1]}")
-    return metres(raw, scale)
+        channels = raw.shape[-1] if raw.ndim == 3 else raw.ndim
+        raise TFLabError(f"{path}: a depth image has one channel, this one has {channels}")
+    if raw.dtype.kind not in "uifb":
+        raise TFLabError(f"{path}: {raw.dtype} values are no depth; store float32 metres")
+    return metres(raw, _usual_scale(raw, path) if scale is None else scale)
+
+
+def _usual_scale(raw: np.ndarray, path: Path) -> float:
+    """Units per metre of depth [H, W] of unstated unit. Raises TFLabError: nobody knows."""
+    cure = "give depth_scale=UNITS_PER_METRE"
+    if raw.dtype.itemsize == 1:
+        raise TFLabError(f"{path}: 8-bit depth has no usual unit (16-bit: millimetres); {cure}")
+    if raw.dtype.kind != "f":
+        return 1000.0
+    known = raw[np.isfinite(raw) & (raw > 0)]
+    middle = np.median(known) if len(known) else 0.0
+    if middle > MAX_METRES:
+        raise TFLabError(
+            f"{path}: floating-point depth is taken as metres, but this is {middle:.0f} in the "
+            f"median; {cure}, 1000 for millimetres"
+        )
+    return 1.0
 
 
 def metres(raw: np.ndarray, scale: float) -> np.ndarray:
-    """16-bit depth [H, W] of ``scale`` units a metre as float32 metres; see `read_depth`."""
-    return (np.where(raw >= 65535, 0, raw) / scale).astype(np.float32)
+    """Depth [H, W] of ``scale`` units a metre as float32 metres; see `read_depth`."""
+    known = np.isfinite(raw) & (raw > 0)
+    if raw.dtype.kind != "f":
+        known &= raw < 65535
+    return (np.where(known, raw, 0) / scale).astype(np.float32)

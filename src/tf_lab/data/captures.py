@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -28,6 +29,8 @@ from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
 from tf_lab.meshes import read_mesh
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -64,17 +67,25 @@ class Prepared:
 
 
 def find_captures(root: Path) -> dict[str, Path]:
-    """The captures in a folder, by name: its folders (or files) of a known layout.
+    """The captures in a folder, by name: its folders of a known layout, and its `.sens` files.
+
+    Other files (videos, json) are part of a capture: the folder that they lie in.
 
     Raises:
         TFLabError: there is none.
     """
     if not root.is_dir():
         raise TFLabError(f"data.root={root}: no such folder; give the folder of the captures")
-    found = {}
-    for path in sorted(root.iterdir()):
-        if not path.name.startswith(".") and detect_format(path):
-            found[path.name if path.is_dir() else path.stem] = path
+    found: dict[str, Path] = {}
+    for path in sorted(root.iterdir(), key=lambda path: (path.is_file(), path)):
+        if path.name.startswith(".") or (path.is_file() and path.suffix.lower() != ".sens"):
+            continue
+        try:
+            if detect_format(path):
+                taken = path.stem in found
+                found[path.stem if path.is_file() and not taken else path.name] = path
+        except OSError as error:
+            logger.warning("%s: left out, it cannot be read (%s)", path, error.strerror)
     if not found:
         inner = root if detect_format(root) else capture_within(root)
         cure = (

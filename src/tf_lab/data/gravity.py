@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from tf_lab.data.origin import local_origin
+from tf_lab.data.text import read_numbers
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import rotation_between
 
@@ -47,10 +49,7 @@ def find_down(
     if path.exists():
         if given is not None:
             logger.warning("%s is used, not the given gravity; remove it to use that", path)
-        try:
-            down = _unit([float(word) for word in path.read_text().split()], str(path))
-        except ValueError as error:
-            raise TFLabError(f"{path}: not three numbers ({error})") from error
+        down = _unit(read_numbers(path, "it holds three numbers"), str(path))
         source = DIRECTION_FILE
     elif given is not None:
         down, source = _unit(given, "gravity"), "as given"
@@ -86,14 +85,22 @@ def estimate_down(world_T_cam: np.ndarray) -> np.ndarray:
 def align(world_T_cam: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn poses [N, 4, 4] by the smallest rotation that takes ``down`` [3] to -z.
 
+    Cameras far from the origin are moved near it, too (see `local_origin`).
+
     Returns:
-        The poses in the z-up world, and source_R_world [3, 3], the rotation back.
+        The poses in the z-up world, and source_T_world [4, 4], the way back.
     """
     minus_z = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
     world_R_source = rotation_between(torch.as_tensor(down, dtype=torch.float64), minus_z).numpy()
+    source_T_world = np.eye(4)
+    source_T_world[:3, :3] = world_R_source.T
+    source_T_world[:3, 3] = origin = local_origin(world_T_cam)
     upright = world_T_cam.copy()
-    upright[:, :3] = world_R_source @ world_T_cam[:, :3]
-    return upright, world_R_source.T.copy()
+    upright[:, :3, 3] -= origin
+    upright[:, :3] = world_R_source @ upright[:, :3]
+    if origin.any():
+        logger.info("the cameras are far from the origin of their world: ours is at %s", origin)
+    return upright, source_T_world
 
 
 def _unit(direction: Sequence[float] | np.ndarray, origin: str) -> np.ndarray:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tf_lab.data.readers.parsing import read_text
+from tf_lab.data.text import read_text
 from tf_lab.errors import TFLabError
 
 SPLITS = ("train", "val", "test")  # 1201, 312 and 100 scenes

@@ -16,6 +16,7 @@ import numpy as np
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.gravity import align, find_down
+from tf_lab.data.origin import check_extent
 from tf_lab.data.readers import (
     arkit,
     colmap,
@@ -137,6 +138,7 @@ def _metric(capture: SourceCapture, path: Path, scale: float | None) -> SourceCa
     """The capture in metres."""
     if scale is None:
         if capture.metric:
+            check_extent(path, capture.world_T_cam)
             return capture
         raise TFLabError(
             f"{path}: its unit of length is unknown (structure from motion gives none); give "
@@ -156,7 +158,5 @@ def _upright(capture: SourceCapture, path: Path, gravity: Sequence[float] | None
     seen = capture.world_T_cam.copy()
     seen[:, :3] = mirror @ seen[:, :3]  # in the source's world
     down = mirror.T @ find_down(directory, seen, gravity, capture.down)
-    world_T_cam, source_R_world = align(capture.world_T_cam, down)
-    turned = np.eye(4)
-    turned[:3, :3] = source_R_world
+    world_T_cam, turned = align(capture.world_T_cam, down)
     return replace(capture, world_T_cam=world_T_cam, source_T_world=capture.source_T_world @ turned)

@@ -12,27 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tf_lab.data.lens import Camera, camera_of
+from tf_lab.data.readers.images import image_size
+from tf_lab.data.text import parse_numbers, read_lines, read_numbers
+from tf_lab.data.text import read_text as read_text
 from tf_lab.errors import TFLabError
 
-MAX_TEXT = 64 * 2**20  # bytes; pose and camera files are far smaller
 MAX_GAP = 0.02  # seconds between an image and its pose: under a frame at 30 Hz
+K_CURE = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"
 ROUNDING = 1e-6  # seconds; timestamps are written with six decimals
-
-
-def read_text(path: Path, cure: str) -> str:
-    """A text file.
-
-    Raises:
-        TFLabError: missing, not text or absurdly large; the message ends with the cure.
-    """
-    try:
-        if path.stat().st_size > MAX_TEXT:
-            raise TFLabError(f"{path}: too large to be this file; {cure}")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise TFLabError(f"{path}: missing; {cure}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise TFLabError(f"{path}: cannot be read as text ({error}); {cure}") from error
 
 
 def parse_pose(text: str) -> np.ndarray:
@@ -43,24 +30,34 @@ def parse_pose(text: str) -> np.ndarray:
     Raises:
         ValueError: it is something else; the message says what.
     """
-    words = text.split()
-    if len(words) not in (12, 16):
-        raise ValueError(f"{len(words)} values, a pose has 16 (4x4) or 12 (3x4)")
+    values = parse_numbers(text)
+    if len(values) not in (12, 16):
+        raise ValueError(f"{len(values)} values, a pose has 16 (4x4) or 12 (3x4)")
     pose = np.eye(4)
-    pose.flat[: len(words)] = [float(word) for word in words]
+    pose.flat[: len(values)] = values
     return pose
 
 
+def read_pose(path: Path, cure: str) -> np.ndarray:
+    """A text file with one pose [4, 4] (see `parse_pose`), in lines as it likes.
+
+    Raises:
+        TFLabError: the file is missing, or holds something else.
+    """
+    try:
+        return parse_pose(read_text(path, cure))
+    except ValueError as error:
+        raise TFLabError(f"{path}: {error}; {cure}") from error
+
+
 def read_poses(path: Path, cure: str) -> list[np.ndarray]:
-    """A text file with one pose [4, 4] a line (see `parse_pose`); empty lines are none.
+    """A text file with one pose [4, 4] a line (see `parse_pose`).
 
     Raises:
         TFLabError: the file is missing, or a line is no pose.
     """
     poses = []
-    for number, line in enumerate(read_text(path, cure).splitlines(), start=1):
-        if not line.strip():
-            continue
+    for number, line in read_lines(path, cure):
         try:
             poses.append(parse_pose(line))
         except ValueError as error:
@@ -102,17 +99,31 @@ def read_intrinsics(path: Path, size: tuple[int, int]) -> Camera:
     Raises:
         TFLabError: the file is missing, or this is not the K of such images.
     """
-    cure = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"
-    try:
-        values = [float(word) for word in read_text(path, cure).split()]
-    except ValueError as error:
-        raise TFLabError(f"{path}: not numbers ({error}); {cure}") from error
+    return _camera(path, _read_K(path), size)
+
+
+def read_camera(path: Path, images: Sequence[Path]) -> Camera:
+    """A text file of 3x3 numbers as the camera of image files, of the size that it fits.
+
+    Raises:
+        TFLabError: the file is missing, or this is not the K of such images.
+    """
+    K = _read_K(path)
+    return _camera(path, K, image_size(images, (K[0, 2], K[1, 2])))
+
+
+def _read_K(path: Path) -> np.ndarray:
+    values = read_numbers(path, K_CURE)
     if len(values) != 9:
-        raise TFLabError(f"{path}: {len(values)} values instead of 9; {cure}")
+        raise TFLabError(f"{path}: {len(values)} values instead of 9; {K_CURE}")
+    return np.array(values).reshape(3, 3)
+
+
+def _camera(path: Path, K: np.ndarray, size: tuple[int, int]) -> Camera:
     try:
-        return camera_of(np.array(values).reshape(3, 3), size)
+        return camera_of(K, size)
     except TFLabError as error:
-        raise TFLabError(f"{path}: {error}; {cure}") from error
+        raise TFLabError(f"{path}: {error}; {K_CURE}") from error
 
 
 @dataclass(frozen=True)
@@ -145,16 +156,14 @@ def read_timeline(path: Path, columns: str, separator: str | None = None) -> Tim
     cure = f"a line holds: {(separator or ' ').join(['timestamp', *columns.split()])}"
     count = len(columns.split())
     rows = []
-    for number, line in enumerate(read_text(path, cure).splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in read_lines(path, cure):
         words = line.split(separator, maxsplit=count)
         try:
             time = float(words[0])
         except ValueError:
             time = math.nan
         if len(words) != count + 1 or not math.isfinite(time):
-            raise TFLabError(f"{path}, line {number}: {line.strip()[:60]!r}; {cure}")
+            raise TFLabError(f"{path}, line {number}: {line[:60]!r}; {cure}")
         rows.append((time, [word.strip() for word in words[1:]]))
     rows.sort(key=lambda row: row[0])
     return Timeline([time for time, _ in rows], [words for _, words in rows])

@@ -5,15 +5,16 @@
     images/         JPEG or PNG, in natural order of their names
     poses.txt       one line an image: camera to world, 4x4 (16 numbers) or 3x4 (12), row by row
     K.txt           3x3 intrinsics of the images, pixels
-    depth/          PNG of the same stems, 16-bit millimetres, 0 = no reading (optional)
+    depth/          of the same stems, 0 = no reading (optional): PNG or TIFF of 16-bit millimetres,
+                    or TIFF or .npy of floating-point metres
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from tf_lab.data.readers.images import image_files, image_size
-from tf_lab.data.readers.parsing import read_intrinsics, read_poses
+from tf_lab.data.readers.images import image_files, match_depths
+from tf_lab.data.readers.parsing import read_camera, read_poses
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
@@ -46,13 +47,16 @@ def read(directory: Path) -> SourceCapture:
     if len(set(stems)) < len(stems):
         twice = next(stem for stem in stems if stems.count(stem) > 1)
         raise TFLabError(f"{folder}: two images are called {twice}; names must differ by stem")
-    size = image_size(images)
-    camera = read_intrinsics(directory / "K.txt", size)
-    depths = [directory / "depth" / f"{stem}.png" for stem in stems]
+    camera = read_camera(directory / "K.txt", images)
+    depths = match_depths(directory / "depth", images)
     frames = [
         SourceFrame(
-            stem, camera, pose, ColorFile(image), DepthFile(depth) if depth.exists() else None
+            image.stem,
+            camera,
+            pose,
+            ColorFile(image),
+            DepthFile(depths[image]) if image in depths else None,
         )
-        for stem, image, pose, depth in zip(stems, images, poses, depths, strict=True)
+        for image, pose in zip(images, poses, strict=True)
     ]
     return collect(directory, frames, skipped=[])

@@ -17,22 +17,20 @@ the depth camera, as in the authors' point clouds. The world is metric, its z ax
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from tf_lab.data.lens import Camera, camera_of
-from tf_lab.data.readers.images import image_files, image_size
-from tf_lab.data.readers.parsing import parse_pose, read_text
+from tf_lab.data.readers.images import image_files, image_size, match_depths
+from tf_lab.data.readers.parsing import read_pose
 from tf_lab.data.readers.sens import open_sens
 from tf_lab.data.readers.source import (
     ColorFile,
     DepthFile,
-    Pixels,
+    Rig,
     SourceCapture,
-    SourceFrame,
     collect,
 )
 from tf_lab.errors import TFLabError
@@ -41,6 +39,7 @@ from tf_lab.geometry import is_valid_pose
 NAME = "scannet"
 LAYOUT = "SCENE.sens, or color/, pose/, intrinsic/intrinsic_color.txt"
 DOWN = (0.0, 0.0, -1.0)
+CURE = "ScanNet's exporter writes 4x4 numbers there"
 
 
 def detect(path: Path) -> bool:
@@ -70,24 +69,6 @@ def _is_export(path: Path) -> bool:
     return all(part.is_dir() for part in parts) and _intrinsics(path, "color").is_file()
 
 
-@dataclass(frozen=True)
-class _Rig:
-    """Both cameras of a scene; color_T_depth [4, 4] is None where they are at one place."""
-
-    color: Camera
-    depth: Camera | None
-    color_T_depth: np.ndarray | None
-
-    def frame(
-        self, name: str, pose: np.ndarray, color: Pixels, depth: Pixels | None
-    ) -> SourceFrame:
-        if self.color_T_depth is not None and np.isfinite(pose).all():
-            pose = pose @ np.linalg.inv(self.color_T_depth)  # the colour camera's
-        if self.depth is None or depth is None:
-            return SourceFrame(name, self.color, pose, color)
-        return SourceFrame(name, self.color, pose, color, depth, self.depth, self.color_T_depth)
-
-
 def _camera(K: np.ndarray, size: tuple[int, int], where: str) -> Camera:
     try:
         return camera_of(K[:3, :3], size)
@@ -111,7 +92,7 @@ def _read_stream(source: Path, path: Path) -> SourceCapture:
     sens = open_sens(path)
     header = sens.header
     has_depth = header.depth_size != (0, 0)
-    rig = _Rig(
+    rig = Rig(
         _camera(header.color_K, header.color_size, f"{path}, colour"),
         _camera(header.depth_K, header.depth_size, f"{path}, depth") if has_depth else None,
         _color_T_depth(
@@ -120,33 +101,32 @@ def _read_stream(source: Path, path: Path) -> SourceCapture:
         ),
     )
     frames = [
-        rig.frame(str(i), frame.pose, frame.color, frame.depth)
-        for i, frame in enumerate(sens.frames)
+        rig.frame(str(frame.color.block.frame), frame.pose, frame.color, frame.depth)
+        for frame in sens.frames
     ]
-    return collect(source, frames, [] if sens.missing is None else [sens.missing], DOWN)
+    return collect(source, frames, sens.missing, DOWN)
 
 
 def _read_export(directory: Path) -> SourceCapture:
     colors = {path.stem: path for path in image_files(directory / "color")}
-    folder = directory / "depth"
-    depths = {path.stem: path for path in image_files(folder)} if folder.is_dir() else {}
     if not colors:
         raise TFLabError(f"{directory / 'color'}: no JPEG or PNG image in it; export the scene")
     color, depth = _export_camera(directory, "color", list(colors.values())), None
+    depths = match_depths(directory / "depth", list(colors.values()))
     if depths:
         depth = _export_camera(directory, "depth", list(depths.values()))
     extrinsics = _extrinsics(directory, "color"), _extrinsics(directory, "depth")
-    rig = _Rig(color, depth, _color_T_depth(*extrinsics))
+    rig = Rig(color, depth, _color_T_depth(*extrinsics))
     posed = sorted(path.stem for path in (directory / "pose").glob("*.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
     for name, image in colors.items():
         try:
-            pose = _read_matrix(directory / "pose" / f"{name}.txt")
+            pose = read_pose(directory / "pose" / f"{name}.txt", CURE)
         except TFLabError as error:
             skipped.append(f"{name}: {error}")
             continue
-        file = DepthFile(depths[name]) if name in depths else None
+        file = DepthFile(depths[image]) if image in depths else None
         frames.append(rig.frame(name, pose, ColorFile(image), file))
     return collect(directory, frames, skipped, DOWN)
 
@@ -157,17 +137,10 @@ def _intrinsics(directory: Path, camera: str) -> Path:
 
 def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:
     path = _intrinsics(directory, camera)
-    return _camera(_read_matrix(path), image_size(images), str(path))
+    K = read_pose(path, CURE)
+    return _camera(K, image_size(images, (K[0, 2], K[1, 2])), str(path))
 
 
 def _extrinsics(directory: Path, camera: str) -> np.ndarray:
     path = directory / "intrinsic" / f"extrinsic_{camera}.txt"
-    return _rigid(_read_matrix(path), str(path)) if path.exists() else np.eye(4)
-
-
-def _read_matrix(path: Path) -> np.ndarray:
-    cure = "ScanNet's exporter writes 4x4 numbers there"
-    try:
-        return parse_pose(read_text(path, cure))
-    except ValueError as error:
-        raise TFLabError(f"{path}: {error}; {cure}") from error
+    return _rigid(read_pose(path, CURE), str(path)) if path.exists() else np.eye(4)

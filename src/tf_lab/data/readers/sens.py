@@ -14,6 +14,7 @@ Such files have gigabytes: opening one reads the frames' heads, an image is read
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
@@ -161,12 +162,12 @@ class SensFile:
     Attributes:
         header: what holds for all frames.
         frames: those that are there whole.
-        missing: why there are fewer than the header says; None: there are not.
+        missing: "frame: reason" or "frames M to N: reason" of those that are not.
     """
 
     header: SensHeader
     frames: list[SensFrame]
-    missing: str | None
+    missing: list[str]
 
 
 def open_sens(path: Path) -> SensFile:
@@ -185,8 +186,8 @@ def open_sens(path: Path) -> SensFile:
             frames, missing = _index(file, path, header, size)
     except OSError as error:
         raise TFLabError(f"{path}: cannot be read ({error})") from error
-    if missing is not None and not frames:
-        raise TFLabError(f"{path}: {missing}; {CURE}")
+    if missing and not frames:
+        raise TFLabError(f"{path}: {missing[0]}; {CURE}")
     return SensFile(header, frames, missing)
 
 
@@ -239,23 +240,29 @@ def _check(header: SensHeader, path: Path) -> None:
 
 def _index(
     file: BinaryIO, path: Path, header: SensHeader, size: int
-) -> tuple[list[SensFrame], str | None]:
+) -> tuple[list[SensFrame], list[str]]:
     """The whole frames, and why others are missing; the file is at the first one."""
     limits = _largest(header.color_size, 3), _largest(header.depth_size, 2)
     frames: list[SensFrame] = []
+    missing: list[str] = []
     offset = file.tell()
     for i in range(header.count):
         file.seek(offset)
         head = file.read(_FRAME.size)
         if len(head) < _FRAME.size:
-            return frames, _missing(i, header, "the file ends before")
+            return frames, [*missing, _rest(i, header, "the file ends before")]
         *pose, _, _, color_bytes, depth_bytes = _FRAME.unpack(head)
-        if not 0 < color_bytes <= limits[0] or depth_bytes > limits[1]:
-            return frames, _missing(i, header, "the file is damaged there")
+        empty = color_bytes == 0
+        no_head = empty and math.isfinite(pose[-1]) and pose[-1] != 1  # of a pose or a lost one
+        if color_bytes > limits[0] or depth_bytes > limits[1] or no_head:
+            return frames, [*missing, _rest(i, header, "the file is damaged there")]
         start = offset + _FRAME.size
         offset = start + color_bytes + depth_bytes
         if offset > size:
-            return frames, _missing(i, header, "the file ends before")
+            return frames, [*missing, _rest(i, header, "the file ends before")]
+        if empty:
+            missing.append(f"{i}: no colour image in the stream")
+            continue
         color = Block(path, i, start, color_bytes)
         depth = Block(path, i, start + color_bytes, depth_bytes)
         frames.append(
@@ -267,7 +274,7 @@ def _index(
                 else None,
             )
         )
-    return frames, None
+    return frames, missing
 
 
 def _largest(size: tuple[int, int], channels: int) -> int:
@@ -275,5 +282,5 @@ def _largest(size: tuple[int, int], channels: int) -> int:
     return size[0] * size[1] * channels * 9 // 8 + 65536
 
 
-def _missing(first: int, header: SensHeader, reason: str) -> str:
+def _rest(first: int, header: SensHeader, reason: str) -> str:
     return f"frames {first} to {header.count - 1}: {reason}"

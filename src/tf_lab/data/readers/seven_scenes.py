@@ -2,28 +2,41 @@
 
 ::
 
-    camera-intrinsics.txt       3x3, of the colour images (to which the depth is registered); not
-                                part of the published sequences: the default depth intrinsics of
-                                their page (585, 320, 240) then serve both cameras, which are not
-                                registered there
-    frame-000000.color.jpg      or .png
+    frame-000000.color.png      or .jpg
     frame-000000.depth.png      16-bit millimetres, 0 and 65535 = no reading (optional)
     frame-000000.pose.txt       4x4, camera to world
+    camera-intrinsics.txt       3x3 (not part of the published sequences)
+
+The published sequences (Shotton et al., CVPR 2013) come from two cameras of a Kinect, 640x480 each,
+that are not registered: the poses are the depth camera's, of focal length 585; the colour camera
+has about 525 (`COLOR`, `DEPTH`, `COLOR_T_DEPTH`, which photo-consistency of the sequences bears
+out). They are so read where there is no ``camera-intrinsics.txt``, or where it states just the
+depth camera's published numbers for 640x480 images, as the copies with TSDF fusion programs do.
+Any other such file is taken at its word for both: the colour images' K, the depth registered to
+them, the poses those of that one camera.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers.images import image_files, image_size
-from tf_lab.data.readers.parsing import parse_pose, read_intrinsics
-from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
+from tf_lab.data.readers.parsing import read_camera, read_pose
+from tf_lab.data.readers.source import ColorFile, DepthFile, Rig, SourceCapture, collect
 from tf_lab.errors import TFLabError
 
+CURE = "it holds the 4x4 pose, camera to world"
 NAME = "seven_scenes"
 LAYOUT = "frame-XXXXXX.color.(jpg|png), frame-XXXXXX.pose.txt"
-PUBLISHED = Camera((640, 480), 585.0, 585.0, 320.0, 240.0)  # Shotton et al. 2013
+DEPTH = Camera((640, 480), 585.0, 585.0, 320.0, 240.0)  # Shotton et al. 2013
+COLOR = Camera((640, 480), 525.0, 525.0, 320.0, 240.0)
+COLOR_T_DEPTH = np.eye(4)
+COLOR_T_DEPTH[0, 3] = -0.025  # metres: the colour camera is to the right of the depth camera
+PUBLISHED = Rig(COLOR, DEPTH, COLOR_T_DEPTH)
 
 
 def detect(directory: Path) -> bool:
@@ -47,24 +60,25 @@ def read(directory: Path) -> SourceCapture:
             f"{directory}: no frame-XXXXXX.color.jpg or .png in it; give the folder "
             "that holds the frames themselves"
         )
-    size = image_size(colors.values())
-    intrinsics = directory / "camera-intrinsics.txt"
-    published = size == PUBLISHED.size and not intrinsics.exists()
-    camera = PUBLISHED if published else read_intrinsics(intrinsics, size)
+    rig = _rig(directory / "camera-intrinsics.txt", list(colors.values()))
     posed = sorted(path.name.split(".")[0] for path in directory.glob("frame-*.pose.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
     for name, color in colors.items():
         try:
-            pose = parse_pose((directory / f"{name}.pose.txt").read_text())
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            skipped.append(f"{name}: no pose in {name}.pose.txt ({reason})")
+            pose = read_pose(directory / f"{name}.pose.txt", CURE)
+        except TFLabError as error:
+            skipped.append(f"{name}: {error}")
             continue
-        depth = directory / f"{name}.depth.png"
-        frames.append(
-            SourceFrame(
-                name, camera, pose, ColorFile(color), DepthFile(depth) if depth.exists() else None
-            )
-        )
+        path = directory / f"{name}.depth.png"
+        depth = DepthFile(path) if path.exists() else None
+        frames.append(rig.frame(name, pose, ColorFile(color), depth))
     return collect(directory, frames, skipped)
+
+
+def _rig(intrinsics: Path, images: Sequence[Path]) -> Rig:
+    """The cameras of the sequence with these colour images."""
+    if not intrinsics.exists() and image_size(images) == COLOR.size:
+        return PUBLISHED
+    camera = read_camera(intrinsics, images)
+    return PUBLISHED if camera == DEPTH else Rig(camera)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -30,13 +30,14 @@ class Pixels(Protocol):
 
 @dataclass(frozen=True)
 class ColorFile:
-    """uint8 [H, W, 3] of an image file."""
+    """uint8 [H, W, 3] of an image file, turned if EXIF data says so and ``size`` needs it."""
 
     path: Path
+    size: tuple[int, int] | None = None
 
     def __call__(self) -> np.ndarray:
         """Read it."""
-        return read_image(self.path)
+        return read_image(self.path, self.size)
 
     def __str__(self) -> str:
         return str(self.path)
@@ -44,10 +45,10 @@ class ColorFile:
 
 @dataclass(frozen=True)
 class DepthFile:
-    """float32 [H, W] metres of a 16-bit depth PNG with ``scale`` units a metre."""
+    """float32 [H, W] metres of a depth map with ``scale`` units a metre (see `read_depth`)."""
 
     path: Path
-    scale: float = 1000.0
+    scale: float | None = None
 
     def __call__(self) -> np.ndarray:
         """Read it."""
@@ -101,6 +102,32 @@ class Given:
     down: Sequence[float] | None = None
     metric: bool = True
     convention: Convention = OURS
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A colour and a depth camera mounted together, as the poses of the depth camera are given.
+
+    Attributes:
+        color: the colour camera.
+        depth: the depth camera; None: depth sees what the colour image shows.
+        color_T_depth: [4, 4] from the depth camera to the colour camera; None: at one place.
+    """
+
+    color: Camera
+    depth: Camera | None = None
+    color_T_depth: np.ndarray | None = None
+
+    def frame(
+        self, name: str, world_T_depth: np.ndarray, color: Pixels, depth: Pixels | None
+    ) -> SourceFrame:
+        """A frame by the pose [4, 4] of the depth camera (not finite: lost)."""
+        pose = world_T_depth
+        if self.color_T_depth is not None and np.isfinite(pose).all():
+            pose = pose @ np.linalg.inv(self.color_T_depth)
+        if depth is None:
+            return SourceFrame(name, self.color, pose, color)
+        return SourceFrame(name, self.color, pose, color, depth, self.depth, self.color_T_depth)
 
 
 @dataclass
@@ -196,7 +223,7 @@ def usable(given: Given, centred: bool = True) -> SourceCapture:
     """
     source = given.source
     kept, left_out = [], list(given.skipped)
-    for frame in given.frames:
+    for frame in map(_sized, given.frames):
         reason = _why_unusable(frame, centred)
         if reason is None:
             kept.append(frame)
@@ -240,6 +267,13 @@ def _why_unusable(frame: SourceFrame, centred: bool) -> str | None:
                 "size, or intrinsics_size=[WIDTH,HEIGHT] says which images they are of"
             )
     return None
+
+
+def _sized(frame: SourceFrame) -> SourceFrame:
+    """The frame, its image file knowing the size that the camera says."""
+    if not isinstance(frame.color, ColorFile):
+        return frame
+    return replace(frame, color=replace(frame.color, size=frame.camera.size))
 
 
 def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:

@@ -137,7 +137,7 @@ def _default_size(entries: list[_Entry]) -> tuple[int, int]:
     """The size of the images, where a frame does not state it."""
     if all("w" in entry.settings and "h" in entry.settings for entry in entries):
         return 0, 0
-    return image_size(entry.color for entry in entries)
+    return image_size([entry.color for entry in entries])
 
 
 def _number(settings: dict[str, Any], key: str, default: float | None = None) -> float:

@@ -88,7 +88,7 @@ def read(directory: Path) -> SourceCapture:
         kept[color.stem] = color, pose, _depth(directory, depths.nearest(time))
     if not kept:
         return collect(directory, [], skipped)
-    camera = _camera(directory, image_size(color for color, _, _ in kept.values()))
+    camera = _camera(directory, image_size([color for color, _, _ in kept.values()]))
     frames = [
         SourceFrame(name, camera, pose, ColorFile(color), depth)
         for name, (color, pose, depth) in kept.items()
