@@ -206,15 +206,16 @@ class VoxelGrid:
         return (points - points.new_tensor(self.origin)) / self.voxel - 0.5
 
     def sample(self, volume: Tensor, points: Tensor, padding: str = "border") -> Tensor:
-        """Trilinear samples [P, C] of a volume [C, X, Y, Z] on this grid at points [P, 3].
+        """Trilinear samples [..., P, C] of volumes [..., C, X, Y, Z] here at points [..., P, 3].
 
         ``padding`` says what lies outside: "border" or "zeros" (as in `grid_sample`).
         """
         shape = points.new_tensor(self.shape)
         normalised = (self.to_index(points) + 0.5) * (2.0 / shape) - 1.0
         grid = normalised.flip(-1)  # grid_sample wants the last axis (z) first
-        out = _sample(volume[None], grid[None, None, None], padding)
-        return out[0, :, 0, 0].T
+        several = volume.reshape(-1, *volume.shape[-4:])
+        out = _sample(several, grid.reshape(len(several), 1, 1, -1, 3), padding)
+        return out[:, :, 0, 0].transpose(1, 2).reshape(*points.shape[:-1], -1)
 
     @property
     def world_T_index(self) -> Tensor:

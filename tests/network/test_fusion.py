@@ -5,11 +5,13 @@ from typing import Any
 
 import pytest
 import torch
+import torch.nn.functional as F
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from tf_lab.network.fusion import STRATEGIES
+from tf_lab.network.fusion.transformer import _attend_by_products
 
 D, K, HEADS = 16, 6, 4
 NAMES = sorted(STRATEGIES)
@@ -231,3 +233,16 @@ def test_pred_is_the_mean_by_predicted_weights() -> None:
         torch.testing.assert_close(
             fused[point], layer_norm(mean, fusion.norm), atol=1e-5, rtol=1e-5
         )
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_attention_by_products_is_torchs(masked: bool) -> None:
+    generator = torch.Generator().manual_seed(0)
+    query, key, value = torch.randn(3, 50, 4, 9, 8, generator=generator, dtype=torch.float64)
+    mask = None
+    if masked:
+        mask = torch.rand(50, 1, 1, 9, generator=generator) < 0.5
+        mask[..., 0] = True
+    expected = F.scaled_dot_product_attention(query[..., :2, :], key, value, attn_mask=mask)
+    found = _attend_by_products(query[..., :2, :], key, value, mask)
+    torch.testing.assert_close(found, expected)

@@ -154,50 +154,46 @@ class Network(nn.Module):
         size = (images.shape[-1], images.shape[-2])
         if maps is None:
             maps = self.encode(images.flatten(0, 1))
-        maps = {level: m.unflatten(0, (B, V)) for level, m in maps.items()}
         depth_range = (self.config.near, self.config.far)
 
-        def fuse(level: str, where: list[Tensor]) -> tuple[Tensor, Tensor]:
-            """Fused features of points [P_b, 3] of every chunk, and whether a view sees them."""
-            chunks = [
-                measure(maps[level][b], where[b], K[b], world_T_cam[b], size, depth_range)
-                for b in range(B)
-            ]
-            parts = zip(*chunks, strict=True)
-            measured = Measurements(*(torch.cat([m.transpose(0, 1) for m in p]) for p in parts))
+        def fuse(level: str, points: Tensor, where: Tensor) -> tuple[Tensor, Tensor]:
+            """Fused features of the points [B, P, 3] ``where`` [B, P], and whether a view sees."""
+            each = points.unsqueeze(1).expand(-1, V, -1, -1).flatten(0, 1)
+            cameras = (K.flatten(0, 1), world_T_cam.flatten(0, 1))
+            parts = measure(maps[level], each, *cameras, size, depth_range)
+            chosen = (m.unflatten(0, (B, V)).transpose(1, 2)[where] for m in parts)
+            measured = Measurements(*chosen)
             kept, slots = self.keep_views(level, measured, keep, ranked)
             return self.fuse(level, self.tokens[level](*kept), slots)[0], measured.valid.any(1)
 
-        def seen(where: Tensor, b: int) -> Tensor:
-            return self.visible(where, K[b], world_T_cam[b], size).any(0)
+        def seen(where: Tensor) -> Tensor:
+            return self.visible(where.unsqueeze(-3), K, world_T_cam, size).any(1)
 
-        centers = coarse_grid.centers().to(K.device).reshape(-1, 3)
-        fused, some = fuse("coarse", [centers] * B)
+        centers = coarse_grid.centers().to(K.device).flatten(0, 2).expand(B, -1, -1)
+        fused, some = fuse("coarse", centers, centers.new_ones(centers.shape[:2], dtype=torch.bool))
         coarse_seen = some.view(B, *coarse_grid.shape)
         volume = fused.view(B, *coarse_grid.shape, -1) * coarse_seen.unsqueeze(-1)
         coarse, coarse_logits = self.refinement.coarse(volume.permute(0, 4, 1, 2, 3), coarse_seen)
 
         inner = subgrid(coarse_grid, fine_grid)
-        centers = fine_grid.centers().to(K.device).reshape(-1, 3)
-        active = torch.stack([seen(centers, b) for b in range(B)]).view(B, *fine_grid.shape)
+        centers = fine_grid.centers().to(K.device).flatten(0, 2)
+        active = seen(centers).view(B, *fine_grid.shape)
         near = self._near(coarse_logits, coarse_seen, coarse_target)[(slice(None), *inner)]
         active = active & upsample(near, first_axis=1)
-        fused, _ = fuse("fine", [centers[active[b].flatten()] for b in range(B)])
+        order, where = _first(active.flatten(1))
+        fused, _ = fuse("fine", centers[order], where)
         volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
         volume[active] = fused
         fine, fine_logits = self.refinement.fine(
             coarse[(slice(None), slice(None), *inner)], volume.permute(0, 4, 1, 2, 3), active
         )
-        occupancy = [
-            self.decode(coarse[b], coarse_grid, fine[b], fine_grid, points[b]) for b in range(B)
-        ]
         return Predictions(
             coarse_logits,
             coarse_seen,
             fine_logits,
             active,
-            torch.stack(occupancy),
-            torch.stack([seen(points[b], b) for b in range(B)]),
+            self.decode(coarse, coarse_grid, fine, fine_grid, points),
+            seen(points),
         )
 
     def _near(self, logits: Tensor, seen: Tensor, target: Tensor | None) -> Tensor:
@@ -249,15 +245,24 @@ class Network(nn.Module):
         fine_grid: VoxelGrid,
         points: Tensor,
     ) -> Tensor:
-        """Occupancy logits [P] at points [P, 3] from refined volumes [D, X, Y, Z]."""
+        """Occupancy logits [..., P] at points [..., P, 3] from volumes [..., D, X, Y, Z]."""
         return self.occupancy(coarse_grid.sample(coarse, points), fine_grid.sample(fine, points))
 
     def visible(
         self, points: Tensor, K: Tensor, world_T_cam: Tensor, size: tuple[int, int]
     ) -> Tensor:
-        """Whether views [N] see points [P, 3], occlusion apart: bool [N, P]."""
+        """Whether views [..., N] see points [..., 1, P, 3], occlusion apart: bool [..., N, P]."""
         uv, depth = project(points, K, invert_pose(world_T_cam))
         return in_view(uv, depth, size, self.config.near, self.config.far)
+
+
+def _first(wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """Columns [B, P] of a mask [B, N] that hold all that are set, in order, and which of them are.
+
+    P is the largest count of a row.
+    """
+    order = wanted.int().argsort(dim=1, descending=True, stable=True)[:, : int(wanted.sum(1).max())]
+    return order, wanted.gather(1, order)
 
 
 def subgrid(coarse: VoxelGrid, fine: VoxelGrid) -> tuple[slice, slice, slice]:
