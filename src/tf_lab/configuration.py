@@ -32,6 +32,7 @@ def make_network(config: Config) -> Network:
                 fusion=config["fusion"]["strategy"],
                 depth=config["inputs"]["depth"],
                 ray=config["inputs"]["ray"],
+                matching=config["inputs"]["matching"],
                 refine=config["refine"],
                 filter=config["filter"],
             )

@@ -20,7 +20,7 @@ from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
 from tf_lab.isosurface import mesh_of
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
-from tf_lab.network.tokens import measure
+from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.settings import DTYPES, ReconstructionSettings
@@ -33,6 +33,18 @@ LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
 Decode = Callable[[Tensor], Tensor]
 
 
+def measured(
+    network: Network,
+    maps: Tensor,
+    points: Tensor,
+    K: Tensor,
+    world_T_cam: Tensor,
+    size: tuple[int, int],
+) -> Measurements:
+    """What views with maps [N, C, h, w] measure at points [P, 3]: [N, P, ...]."""
+    return measure(maps, points, K, world_T_cam, size, (network.config.near, network.config.far))
+
+
 def embed(
     network: Network,
     level: str,
@@ -43,8 +55,7 @@ def embed(
     size: tuple[int, int],
 ) -> Tensor:
     """Tokens [N, P, D] of points [P, 3] in views with maps [N, C, h, w]."""
-    depth_range = (network.config.near, network.config.far)
-    return network.tokens[level](*measure(maps, points, K, world_T_cam, size, depth_range))
+    return network.tokens[level](*measured(network, maps, points, K, world_T_cam, size))
 
 
 @dataclass
@@ -229,21 +240,28 @@ class DenseReconstructor:
     def _fuse_batch(self, level: str, store: ViewStore, points: Tensor, index: Tensor) -> Tensor:
         """Fused features [M, D] of the store's voxels ``index`` [M]."""
         frames = store.frames[index]
-        tokens = points.new_zeros(*frames.shape, self.network.config.width)
+        channels = self.maps[0][level].shape[0]
+        kept = Measurements(
+            points.new_zeros(*frames.shape, channels),
+            points.new_zeros(frames.shape),
+            torch.zeros_like(frames, dtype=torch.bool),
+            points.new_zeros(*frames.shape, 3),
+        )
         for frame in frames.unique().tolist():
             if frame < 0:
                 continue
             row, slot = (frames == frame).nonzero(as_tuple=True)
-            embedded = embed(
+            found = measured(
                 self.network,
-                level,
                 self.maps[frame][level][None],
                 points[index[row]],
                 self.K[frame][None],
                 self.poses[frame][None],
                 self.size,
             )
-            tokens[row, slot] = embedded[0]
+            for every, part in zip(kept, found, strict=True):
+                every[row, slot] = part[0]
+        tokens = self.network.embed_kept(level, kept)
         fused, _ = self.network.fuse(level, tokens, frames >= 0)
         return fused
 

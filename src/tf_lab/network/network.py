@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
+from tf_lab.network.agreement import Agreement
 from tf_lab.network.encoder import Encoder, normalise_images
 from tf_lab.network.fusion import STRATEGIES, Fusion, weights_from_logits
 from tf_lab.network.occupancy import OccupancyMLP
@@ -29,6 +30,7 @@ class NetworkConfig:
         blocks, heads, expansion: of each fusion module.
         fusion: "transformer", "avg" or "pred".
         depth, ray: whether tokens get the projected depth and the viewing ray.
+        matching: whether kept tokens get evidence that the views agree; see `Agreement`.
         refine: whether 3D CNNs refine the features.
         refine_blocks: residual blocks a level.
         filter: whether near-surface masks are trained and used.
@@ -47,6 +49,7 @@ class NetworkConfig:
     fusion: str = "transformer"
     depth: bool = True
     ray: bool = True
+    matching: bool = False
     refine: bool = True
     filter: bool = True
     near: float = 0.3
@@ -99,10 +102,14 @@ class Network(nn.Module):
         )
         self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
         self.occupancy = OccupancyMLP(c.width, c.hidden)
+        # last, so that all other weights are drawn as without it
+        self.agreement = nn.ModuleDict(
+            {name: Agreement(channels[name], c.width) for name in LEVELS if c.matching}
+        )
 
     def compile_parts(self) -> None:
         """Have torch compile what takes most of the time: the encoder and the fusion modules."""
-        for part in (self.encoder, *self.fusion.values()):
+        for part in (self.encoder, *self.fusion.values(), *self.agreement.values()):
             part.compile(dynamic=True)
 
     def encode(self, images: Tensor) -> dict[str, Tensor]:
@@ -110,6 +117,15 @@ class Network(nn.Module):
         x = normalise_images(images).contiguous(memory_format=torch.channels_last)
         coarse, fine = self.encoder(x)
         return {"coarse": coarse, "fine": fine}
+
+    def embed(self, level: str, measured: Measurements) -> Tensor:
+        """Tokens [..., D], each of one measurement alone: what views are selected by."""
+        return self.tokens[level](*measured)
+
+    def embed_kept(self, level: str, kept: Measurements) -> Tensor:
+        """Tokens [..., K, D] of the measurements that voxels keep, as they are fused."""
+        tokens = self.embed(level, kept)
+        return tokens + self.agreement[level](kept) if self.config.matching else tokens
 
     def fuse(self, level: str, tokens: Tensor, slots: Tensor | None) -> tuple[Tensor, Tensor]:
         """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
@@ -166,7 +182,7 @@ class Network(nn.Module):
             parts = zip(*chunks, strict=True)
             measured = Measurements(*(torch.cat([m.transpose(0, 1) for m in p]) for p in parts))
             kept, slots = self.keep_views(level, measured, keep, ranked)
-            return self.fuse(level, self.tokens[level](*kept), slots)[0], measured.valid.any(1)
+            return self.fuse(level, self.embed_kept(level, kept), slots)[0], measured.valid.any(1)
 
         def seen(where: Tensor, b: int) -> Tensor:
             return self.visible(where, K[b], world_T_cam[b], size).any(0)
@@ -227,7 +243,7 @@ class Network(nn.Module):
         score = torch.arange(valid.shape[1], 0, -1, device=valid.device).expand(valid.shape)
         if ranked:
             with torch.no_grad():
-                logits = self.selection_logits(level, self.tokens[level](*measured))
+                logits = self.selection_logits(level, self.embed(level, measured))
             if logits is not None:
                 score = weights_from_logits(logits, valid)
         score = score.float().masked_fill(~valid, -1.0)

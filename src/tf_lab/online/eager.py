@@ -55,10 +55,12 @@ class EagerReconstructor(Reconstructor):
             weights = weights_from_logits(store.logits[rows], None)
         slot = store.policy.slots(weights, store.seen[rows].long(), level.keys(rows))
         store.put(frame, rows, slot, None)
-        tokens, filled = level.tokens(rows, store.views)
-        psi, _ = self.network.fuse(level.name, tokens, filled)
-        logits = self.network.selection_logits(level.name, tokens) if store.heads else None
-        if logits is not None:
+        kept, filled = level.measurements(rows, store.views)
+        psi, _ = self.network.fuse(level.name, self.network.embed_kept(level.name, kept), filled)
+        if store.heads:
+            tokens = self.network.embed(level.name, kept)
+            logits = self.network.selection_logits(level.name, tokens)
+            assert logits is not None
             store.logits[rows] = store.rounded(logits)
         level.features["psi"][rows] = psi.float()
         store.dirty[rows] = False

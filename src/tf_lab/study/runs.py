@@ -36,6 +36,8 @@ TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")
 def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a resolved config that shapes the weights."""
     identity = {key: config[key] for key in TRAINING_GROUPS}
+    if not config["inputs"].get("matching"):  # old trainings had no choice
+        identity["inputs"] = {k: v for k, v in config["inputs"].items() if k != "matching"}
     identity["training"] = {key: config["training"][key] for key in TRAINING_KEYS}
     apart = {*DATA_PLACES, *DATA_AT_TEST, *DATA_AT_VALIDATION}
     identity["data"] = {k: v for k, v in config["data"].items() if k not in apart}
@@ -92,6 +94,8 @@ def row_label(config: Mapping[str, Any]) -> str:
         parts.append("w/o projected depth")
     if not config["inputs"]["ray"]:
         parts.append("w/o view ray")
+    if config["inputs"].get("matching"):
+        parts.append("+ matching")
     random = config["select"]["policy"] == "random"
     if config["views"] != 16 or random:
         parts.append(f"{config['views']} images" + (", RND" if random else ""))
@@ -105,6 +109,7 @@ def _changes(config: Mapping[str, Any]) -> list[str]:
         names.append(config["fusion"]["strategy"])
     names += [] if config["inputs"]["depth"] else ["no_depth"]
     names += [] if config["inputs"]["ray"] else ["no_ray"]
+    names += ["matching"] if config["inputs"].get("matching") else []
     names += [] if config["refine"] else ["no_refine"]
     names += [] if config["filter"] else ["no_filter"]
     return names
