@@ -124,7 +124,7 @@ def test_paper_is_the_paper() -> None:
     assert (optimizer["schedule"], optimizer["clip"]) == ("inverse_sqrt", 0)
     training = config["training"]
     assert (training["chunks"], training["images"], training["views"]) == (4, 8, [])
-    assert config["optimizer"]["encoder_factor"] == 1 and training["ranked"] == 0
+    assert config["optimizer"]["encoder_factor"] == 1
     assert (training["points"], training["near_share"]) == (1000, 0.8)
     assert training["sdf_weight"] == 0
     assert (config["views"], config["resolution"], config["threshold"]) == (16, 0.02, 0.5)

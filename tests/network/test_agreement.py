@@ -13,6 +13,8 @@ from network.test_network import toy
 from tf_lab.network.agreement import FEW, Agreement
 from tf_lab.network.losses import losses
 from tf_lab.network.tokens import Measurements
+from tf_lab.online.batch_selection import BatchSelection
+from tf_lab.online.selection import RandomSelection
 
 C, D, V = 16, 10, 6
 
@@ -127,7 +129,8 @@ def test_bfloat16_features_are_compared_in_float32() -> None:
 def test_an_untrained_network_equals_the_plain_one(
     tiny_network: Callable[..., Any], keep: int | None, fusion: str
 ) -> None:
-    inputs = {**toy(), "keep": keep}
+    select = None if keep is None else BatchSelection(RandomSelection(), keep)
+    inputs = {**toy(), "keep": select}
     plain = tiny_network(fusion=fusion)(**inputs)
     found = tiny_network(fusion=fusion, matching=True)(**inputs)
     for name, value in vars(plain).items():

@@ -107,7 +107,7 @@ class DenseReconstructor:
     ) -> None:
         self.network, self.grid, self.settings = network, grid, settings
         self.device = next(network.parameters()).device
-        if policy.needs_weights and self._heads("coarse") == 0:
+        if policy.needs_logits and self._heads("coarse") == 0:
             policy = RandomSelection()
         self.policy = policy
         self.images: list[Tensor] = []
@@ -197,7 +197,7 @@ class DenseReconstructor:
         return 0 if logits is None else logits.shape[-1]
 
     def _store(self, level: str, points: Tensor) -> ViewStore:
-        heads = self._heads(level) if self.policy.needs_weights else 0
+        heads = self._heads(level) if self.policy.needs_logits else 0
         dtype = DTYPES[self.settings.logits]
         store = ViewStore(self.settings.views, heads, self.policy, logits=dtype)
         store.grow(len(points))
@@ -208,12 +208,15 @@ class DenseReconstructor:
         K, pose = self.K[frame][None], self.poses[frame][None]
         voxels = self.network.visible(points, K, pose, self.size)[0].nonzero().squeeze(1)
         logits = None
-        if self.policy.needs_weights:
+        if self.policy.needs_logits:
             maps = self.maps[frame][level][None]
             tokens = embed(self.network, level, maps, points[voxels], K, pose, self.size)
             logits = self.network.selection_logits(level, tokens[0])
         keys = (points[voxels] / LATTICE).round().long()
-        store.add(frame, voxels, keys, logits)
+        held = torch.stack(self.poses)[:, :3, 3][store.frames[voxels].long()]  # [M, K, 3]
+        new = pose[:, None, :3, 3].expand(len(voxels), 1, 3)
+        centers = torch.cat([held, new], 1) - points[voxels, None]
+        store.add(frame, voxels, keys, logits, centers)
 
     def _fuse(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +13,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.encoder import Encoder, normalise_images
-from tf_lab.network.fusion import STRATEGIES, Fusion, weights_from_logits
+from tf_lab.network.fusion import STRATEGIES, Fusion
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.tokens import Measurements, Tokens, measure
@@ -60,6 +60,24 @@ class NetworkConfig:
             raise TFLabError(f"fusion={self.fusion}: choose one of {', '.join(STRATEGIES)}")
         if self.width % self.heads:
             raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")
+
+
+class KeepViews(Protocol):
+    """Chooses which of their V views voxels keep in training."""
+
+    needs_logits: bool
+
+    def __call__(
+        self, logits: Tensor | None, valid: Tensor, centers: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Views int64 [P, K_t], and which of these slots are filled, bool [P, K_t].
+
+        Args:
+            logits: [P, V, H] of selection; None if it needs none, or nothing ranks views.
+            valid: bool [P, V], which views see the voxel.
+            centers: [P, V, 3], the cameras' centres relative to the voxel, metres.
+        """
+        ...
 
 
 @dataclass
@@ -146,8 +164,7 @@ class Network(nn.Module):
         fine_grid: VoxelGrid,
         points: Tensor,
         coarse_target: Tensor | None,
-        keep: int | None = None,
-        ranked: bool = False,
+        keep: KeepViews | None = None,
         maps: Mapping[str, Tensor] | None = None,
     ) -> Predictions:
         """One training pass over chunks that share a grid, each in its own frame.
@@ -161,9 +178,8 @@ class Network(nn.Module):
             points: [B, P, 3] where occupancy is asked for.
             coarse_target: bool [B, X, Y, Z]; the fine level is computed where it or the predicted
                 coarse mask is true, so that it meets in training what it will meet at test time.
-            keep: K_t, how many of its valid views every voxel keeps, as at test time; None: all
-                V views, invalid ones too (paper).
-            ranked: keep those of the highest attention weight instead of the first.
+            keep: which of its valid views every voxel keeps, as at test time; None: all V views,
+                invalid ones too (paper).
             maps: the images' feature maps [B * V, C, h, w] by level, where they are known.
         """
         B, V = images.shape[:2]
@@ -181,7 +197,8 @@ class Network(nn.Module):
             ]
             parts = zip(*chunks, strict=True)
             measured = Measurements(*(torch.cat([m.transpose(0, 1) for m in p]) for p in parts))
-            kept, slots = self.keep_views(level, measured, keep, ranked)
+            centers = torch.cat([world_T_cam[b, :, :3, 3] - where[b][:, None] for b in range(B)])
+            kept, slots = self.keep_views(level, measured, centers, keep)
             return self.fuse(level, self.embed_kept(level, kept), slots)[0], measured.valid.any(1)
 
         def seen(where: Tensor, b: int) -> Tensor:
@@ -224,38 +241,34 @@ class Network(nn.Module):
         return seen & (near if target is None else near | target)
 
     def keep_views(
-        self, level: str, measured: Measurements, keep: int | None, ranked: bool
+        self, level: str, measured: Measurements, centers: Tensor, keep: KeepViews | None
     ) -> tuple[Measurements, Tensor | None]:
         """The measurements that voxels keep in training: what the view store does at test time.
 
         Args:
             level: "coarse" or "fine".
             measured: of points in views, [P, V, ...].
-            keep: K_t; None keeps everything.
-            ranked: by attention weight, if the fusion has a preference; else the first ones.
+            centers: [P, V, 3], see `KeepViews`.
+            keep: chooses; None keeps everything.
 
         Returns:
             Measurements [P, K_t, ...] and which slots are filled, bool [P, K_t]; None: all.
         """
         if keep is None:
             return measured, None
-        valid = measured.valid
-        score = torch.arange(valid.shape[1], 0, -1, device=valid.device).expand(valid.shape)
-        if ranked:
-            with torch.no_grad():
+        with torch.no_grad():
+            logits = None
+            if keep.needs_logits:
                 logits = self.selection_logits(level, self.embed(level, measured))
-            if logits is not None:
-                score = weights_from_logits(logits, valid)
-        score = score.float().masked_fill(~valid, -1.0)
-        best = score.topk(min(keep, valid.shape[1]), dim=1).indices
-        index = best.unsqueeze(-1)
+            views, slots = keep(logits, measured.valid, centers)
+        index = views.unsqueeze(-1)
         kept = Measurements(
             torch.take_along_dim(measured.phi, index, dim=1),
-            measured.depth.gather(1, best),
-            valid.gather(1, best),
+            measured.depth.gather(1, views),
+            measured.valid.gather(1, views) & slots,
             torch.take_along_dim(measured.ray, index, dim=1),
         )
-        return kept, kept.valid
+        return kept, slots
 
     def decode(
         self,

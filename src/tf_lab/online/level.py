@@ -78,7 +78,19 @@ class Level:
     def offer(self, frame: int, rows: Tensor) -> None:
         """Offer a frame's measurements to the voxels (rows [M]) that it sees: by logits alone."""
         logits = self.logits(rows, torch.full_like(rows, frame)) if self.store.heads else None
-        self.store.add(frame, rows, self.keys(rows), logits)
+        self.store.add(frame, rows, self.keys(rows), logits, self.centers(frame, rows))
+
+    def centers(self, frame: int, rows: Tensor) -> Tensor | None:
+        """Cameras [M, K + 1, 3] of what rows [M] hold and of a new frame, relative to the voxels.
+
+        Metres; anything where a slot is empty. None if the policy needs none.
+        """
+        if not self.store.policy.needs_centers:
+            return None
+        every = self.frames.cameras["world_T_cam"][:, :3, 3]
+        held = every[self.store.frames[rows].long()]
+        new = every[frame].expand(len(rows), 1, 3)
+        return torch.cat([held, new], 1) - self.points(rows)[:, None]
 
     def logits(self, rows: Tensor, frames: Tensor) -> Tensor | None:
         """Selection logits [M, H] of frames [M] at rows [M]."""
