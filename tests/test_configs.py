@@ -62,6 +62,7 @@ def test_ray_is_told_what_a_job_needs() -> None:
 def test_the_groups_of_the_contract_exist() -> None:
     for option in (
         *("fusion=transformer", "fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
+        "inputs=matching",
         *("model=tiny", "model=small", "model=paper", "select=attn", "select=rnd"),
         *("logger=csv", "logger=tensorboard", "logger=wandb", "logger=wandb_offline"),
         *("launcher=local", "launcher=slurm", "launcher=ray"),
@@ -83,6 +84,7 @@ def test_an_ablation_changes_one_thing() -> None:
         ("fusion=pred", ("fusion", "strategy"), "pred"),
         ("inputs=no_depth", ("inputs", "depth"), False),
         ("inputs=no_ray", ("inputs", "ray"), False),
+        ("inputs=matching", ("inputs", "matching"), True),
         ("refine=false", ("refine",), False),
         ("filter=false", ("filter",), False),
         ("select=rnd", ("select", "policy"), "random"),
@@ -110,7 +112,7 @@ def test_paper_is_the_paper() -> None:
         *("transformer", True),
         True,
     )
-    assert config["inputs"] == {"depth": True, "ray": True}
+    assert config["inputs"] == {"depth": True, "ray": True, "matching": False}
     # ResNet-18 (He et al. 2016, table 1), pre-trained on ImageNet
     assert (encoder["blocks"], encoder["width"], encoder["norm"]) == ([2, 2, 2, 2], 64, "batch")
     assert (encoder["stem_stride"], encoder["stem_pool"]) == (2, True)
@@ -122,7 +124,7 @@ def test_paper_is_the_paper() -> None:
     assert (optimizer["schedule"], optimizer["clip"]) == ("inverse_sqrt", 0)
     training = config["training"]
     assert (training["chunks"], training["images"], training["views"]) == (4, 8, [])
-    assert config["optimizer"]["encoder_factor"] == 1 and training["ranked"] == 0
+    assert config["optimizer"]["encoder_factor"] == 1
     assert (training["points"], training["near_share"]) == (1000, 0.8)
     assert training["sdf_weight"] == 0
     assert (config["views"], config["resolution"], config["threshold"]) == (16, 0.02, 0.5)

@@ -13,6 +13,7 @@ from tf_lab.data.chunks import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoder import load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.online.selection import make_policy
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.scoring import TestSettings
 from tf_lab.training import OptimizerSettings
@@ -32,6 +33,7 @@ def make_network(config: Config) -> Network:
                 fusion=config["fusion"]["strategy"],
                 depth=config["inputs"]["depth"],
                 ray=config["inputs"]["ray"],
+                matching=config["inputs"]["matching"],
                 refine=config["refine"],
                 filter=config["filter"],
             )
@@ -44,13 +46,22 @@ def make_network(config: Config) -> Network:
 
 
 def chunk_settings(config: Config) -> ChunkSettings:
-    """How training chunks are drawn."""
+    """How training chunks are drawn.
+
+    Raises:
+        TFLabError: a rule of view selection that there is not, or no rule at all.
+    """
     t = config["training"]
+    rules = {name: weight for name, weight in t["rules"].items() if weight > 0}
+    for name in rules:
+        make_policy(name, 0)
+    if not rules:
+        raise TFLabError("training.rules: all weights are 0; give at least one rule some")
     return ChunkSettings(
         chunks=t["chunks"],
         images=t["images"],
         views=tuple(t["views"]),
-        ranked=t["ranked"],
+        rules=rules,
         points=t["points"],
         near_share=t["near_share"],
         coverage=t["coverage"],

@@ -21,6 +21,8 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.network.known_maps import KnownMaps
 from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
+from tf_lab.online.batch_selection import BatchSelection
+from tf_lab.online.selection import make_policy
 from tf_lab.progress import progress_bar
 from tf_lab.provenance import provenance
 from tf_lab.scoring import TestSettings, reconstruct
@@ -103,8 +105,7 @@ class Training(L.LightningModule):
             FINE_GRID,
             batch.points,
             batch.coarse_target,
-            keep=int(batch.keep[0]) or None,
-            ranked=bool(batch.ranked[0]),
+            keep=kept_by(batch),
             maps=None if known is None else known(batch.images.flatten(0, 1)),
         )
         terms = losses(
@@ -145,6 +146,13 @@ class Training(L.LightningModule):
             "optimizer": adam,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
+
+
+def kept_by(batch: ChunkBatch) -> BatchSelection | None:
+    """What chooses the views that voxels keep in a step; None: they keep all."""
+    if not batch.keep:
+        return None
+    return BatchSelection(make_policy(batch.rule, batch.draw), batch.keep)
 
 
 class TrainingProgress(Callback):

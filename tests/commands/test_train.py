@@ -23,7 +23,7 @@ from tiny_jobs import TINY, Result, call, start, tiny_config
 import tf_lab
 from tf_lab.checkpoint import load_network
 from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.online.selection import make_policy
+from tf_lab.online.selection import uniform
 from tf_lab.train import train as train_network
 from tf_lab.training import Training
 
@@ -169,8 +169,8 @@ def test_another_seed_changes_all_that_is_random(monkeypatch: pytest.MonkeyPatch
         (
             module.network.state_dict(),
             [batch.world_T_cam for batch in islice(data.train_dataloader(), 3)],
-            [batch.keep.tolist() for batch in islice(data.train_dataloader(), 20)],
-            make_policy("random", module.test_settings.seed)._uniform(*lattice),
+            [(batch.keep, batch.draw) for batch in islice(data.train_dataloader(), 20)],
+            uniform(module.test_settings.seed, *lattice),
         )
         for module, data in made
         for lattice in [(torch.arange(30).view(10, 3), torch.arange(10))]

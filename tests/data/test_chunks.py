@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 import box_room
+from small_shards import same
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkSettings, make_batch
 from tf_lab.data.groundtruth import GroundTruth
@@ -22,6 +23,7 @@ from tf_lab.geometry import CHUNK, COARSE, FINE
 
 NEAR, FAR = 0.3, 5.0
 SMALL = ChunkSettings(chunks=2, images=3, points=64)
+RULES = {"attention": 1.0, "random": 1.0}
 
 
 def sampler(box_scene: Path, settings: ChunkSettings = SMALL, far: float = FAR) -> ChunkSampler:
@@ -34,13 +36,6 @@ def stream(box_scene: Path, **arguments: int) -> ChunkStream:
 
 def draw(box_scene: Path, settings: ChunkSettings, seed: int = 0) -> ChunkBatch:
     return ChunkStream(sampler(box_scene, settings), seed).batch(0)
-
-
-def same(a: ChunkBatch, b: ChunkBatch) -> bool:
-    return all(
-        torch.equal(torch.nan_to_num(x, -7), torch.nan_to_num(y, -7))
-        for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
-    )
 
 
 def frames_of(batch: ChunkBatch, scene: Scene) -> list[list[int]]:
@@ -251,13 +246,19 @@ def test_a_batch_is_a_function_of_seed_rank_and_step(box_scene: Path) -> None:
 @pytest.mark.parametrize("views", [(), (2, 3)])
 def test_processes_share_the_chunks_of_a_step(box_scene: Path, views: tuple[int, ...]) -> None:
     """Two with two chunks each have those that one with four has, and keep as many views."""
-    of_four = replace(SMALL, chunks=4, views=views, ranked=0.5)
+    of_four = replace(SMALL, chunks=4, views=views, rules=RULES)
     of_two = sampler(box_scene, replace(of_four, chunks=2))
     parts = [of_two.stream(0, 1, rank, 2) for rank in range(2)]
     whole = sampler(box_scene, of_four).stream(0, 1, 0, 1)
     for one, *two in itertools.islice(zip(whole, *parts, strict=True), 4):
-        joined = {k: torch.cat([vars(part)[k] for part in two]) for k in vars(one)}
-        assert same(ChunkBatch(**joined), one)
+        joined = {
+            k: torch.cat([vars(part)[k] for part in two])
+            for k, value in vars(one).items()
+            if isinstance(value, Tensor)
+        }
+        assert same(replace(one, **joined), one)
+        assert {(part.keep, part.rule) for part in two} == {(one.keep, one.rule)}
+        assert two[0].draw != two[1].draw  # chance is not shared
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -276,11 +277,12 @@ def test_a_stream_travels_to_worker_processes(box_scene: Path) -> None:
 
 
 def test_the_number_of_views_varies_from_step_to_step(box_scene: Path) -> None:
-    settings = ChunkSettings(chunks=1, images=4, views=(2, 3), ranked=0.5, points=8)
+    settings = ChunkSettings(chunks=1, images=4, views=(2, 3), rules=RULES, points=8)
     batches = list(itertools.islice(ChunkStream(sampler(box_scene, settings), 0), 12))
     assert {b.images.shape[1] for b in batches} == {4}
-    assert {int(b.keep[0]) for b in batches} == {2, 3}
-    assert {bool(b.ranked[0]) for b in batches} == {False, True}
+    assert {b.keep for b in batches} == {2, 3}
+    assert {b.rule for b in batches} == {"attention", "random"}
+    assert len({b.draw for b in batches}) == 12
 
 
 def test_fewer_images_than_a_record_holds(box_scene: Path) -> None:
@@ -336,7 +338,10 @@ def test_a_damaged_image_is_told_with_its_scene(box_scene: Path, tmp_path: Path)
 
 def test_moving_a_batch(batch: ChunkBatch) -> None:
     moved = batch.to(torch.device("meta"))
-    assert {v.device.type for v in vars(moved).values()} == {"meta"}
+    tensors = [v for v in vars(moved).values() if isinstance(v, Tensor)]
+    assert len(tensors) == 7
+    assert {v.device.type for v in tensors} == {"meta"}
+    assert (moved.keep, moved.rule, moved.draw) == (batch.keep, batch.rule, batch.draw)
     assert moved.images.dtype == torch.uint8
 
 

@@ -17,7 +17,7 @@ import torch
 from torch.utils.data import DataLoader
 
 import small_shards
-from small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, sampler
+from small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, same, sampler
 from tf_lab.data.chunk_sampler import ChunkStream
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
 from tf_lab.data.datamodule import SceneDataModule
@@ -73,13 +73,6 @@ def numbers(number_of: Callable[[torch.Tensor], int]) -> Numbers:
 
 def loaded(stream: ShardStream, workers: int) -> Iterator[ChunkBatch]:
     return iter(DataLoader(stream, batch_size=None, num_workers=workers))
-
-
-def same(a: ChunkBatch, b: ChunkBatch) -> bool:
-    return all(
-        torch.equal(torch.nan_to_num(x, -7), torch.nan_to_num(y, -7))
-        for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
-    )
 
 
 @pytest.mark.parametrize("per_shard", [3, 4, 16])

@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 
+import pytest
 import torch
 
 from tf_lab.network.network import Network
 from tf_lab.network.tokens import Measurements
+from tf_lab.online.batch_selection import BatchSelection
+from tf_lab.online.selection import POLICIES, make_policy
 
 
 def example(network: Network, level: str) -> Measurements:
@@ -27,40 +30,56 @@ def assert_kept(
         assert torch.equal(some[point][slots[point]], every[point, views])
 
 
+CENTERS = torch.randn(40, 9, 3, generator=torch.Generator().manual_seed(1))
+
+
+def keeping(name: str, views: int) -> BatchSelection:
+    return BatchSelection(make_policy(name, 0), views)
+
+
 def test_nothing_is_dropped_without_keep(tiny_network: Callable[..., Network]) -> None:
     network = tiny_network()
     measured = example(network, "fine")
-    kept, slots = network.keep_views("fine", measured, None, False)
+    kept, slots = network.keep_views("fine", measured, CENTERS, None)
     assert kept is measured and slots is None
 
 
-def test_first_valid_views_are_kept(tiny_network: Callable[..., Network]) -> None:
+@pytest.mark.parametrize("name", POLICIES)
+def test_the_chosen_views_measurements_are_kept(
+    tiny_network: Callable[..., Network], name: str
+) -> None:
     network = tiny_network()
     measured = example(network, "fine")
-    kept, slots = network.keep_views("fine", measured, 4, False)
+    kept, slots = network.keep_views("fine", measured, CENTERS, keeping(name, 4))
     assert slots is not None and kept.ray.shape == (40, 4, 3)
+    logits = network.selection_logits("fine", network.embed("fine", measured))
+    views, filled = keeping(name, 4)(logits, measured.valid, CENTERS)
+    assert torch.equal(filled, slots)
     for p in range(40):
-        expected = [v for v in range(9) if measured.valid[p, v]][:4]
-        assert_kept(kept, slots, measured, p, expected)
+        assert_kept(kept, slots, measured, p, views[p][filled[p]].tolist())
 
 
-def test_ranked_views_are_those_of_the_highest_logit(tiny_network: Callable[..., Network]) -> None:
+def test_attention_keeps_the_highest_logits_and_the_last(
+    tiny_network: Callable[..., Network],
+) -> None:
+    """The paper's rule drops before it adds: the last view that sees the voxel always stays."""
     network = tiny_network(heads=1)  # with one head the order of weights is that of the logits
     measured = example(network, "coarse")
-    kept, slots = network.keep_views("coarse", measured, 3, True)
+    kept, slots = network.keep_views("coarse", measured, CENTERS, keeping("attention", 3))
     logits = network.selection_logits("coarse", network.tokens["coarse"](*measured))
     assert slots is not None and logits is not None
     for p in range(40):
-        views = [v for v in range(9) if measured.valid[p, v]]
-        expected = sorted(views, key=lambda v: -logits[p, v, 0].item())[:3]
-        assert_kept(kept, slots, measured, p, expected)
+        *views, last = [v for v in range(9) if measured.valid[p, v]] or [-1]
+        best = sorted(views, key=lambda v: -logits[p, v, 0].item())[:2]
+        expected = measured.ray[p, [*best, last]] if last >= 0 else torch.empty(0, 3)
+        assert sorted(kept.ray[p][slots[p]].tolist()) == sorted(expected.tolist())
 
 
-def test_a_fusion_without_preference_keeps_the_first(
+def test_a_fusion_without_preference_keeps_by_chance(
     tiny_network: Callable[..., Network],
 ) -> None:
     network = tiny_network(fusion="avg")
     measured = example(network, "fine")
-    ranked, _ = network.keep_views("fine", measured, 4, True)
-    first, _ = network.keep_views("fine", measured, 4, False)
-    assert torch.equal(ranked.phi, first.phi)
+    kept, slots = network.keep_views("fine", measured, CENTERS, keeping("attention", 4))
+    by_chance, _ = network.keep_views("fine", measured, CENTERS, keeping("random", 4))
+    assert torch.equal(kept.phi[slots], by_chance.phi[slots])

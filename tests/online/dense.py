@@ -20,7 +20,7 @@ from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
 from tf_lab.isosurface import mesh_of
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
-from tf_lab.network.tokens import measure
+from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.settings import DTYPES, ReconstructionSettings
@@ -33,6 +33,18 @@ LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
 Decode = Callable[[Tensor], Tensor]
 
 
+def measured(
+    network: Network,
+    maps: Tensor,
+    points: Tensor,
+    K: Tensor,
+    world_T_cam: Tensor,
+    size: tuple[int, int],
+) -> Measurements:
+    """What views with maps [N, C, h, w] measure at points [P, 3]: [N, P, ...]."""
+    return measure(maps, points, K, world_T_cam, size, (network.config.near, network.config.far))
+
+
 def embed(
     network: Network,
     level: str,
@@ -43,8 +55,7 @@ def embed(
     size: tuple[int, int],
 ) -> Tensor:
     """Tokens [N, P, D] of points [P, 3] in views with maps [N, C, h, w]."""
-    depth_range = (network.config.near, network.config.far)
-    return network.tokens[level](*measure(maps, points, K, world_T_cam, size, depth_range))
+    return network.tokens[level](*measured(network, maps, points, K, world_T_cam, size))
 
 
 @dataclass
@@ -96,7 +107,7 @@ class DenseReconstructor:
     ) -> None:
         self.network, self.grid, self.settings = network, grid, settings
         self.device = next(network.parameters()).device
-        if policy.needs_weights and self._heads("coarse") == 0:
+        if policy.needs_logits and self._heads("coarse") == 0:
             policy = RandomSelection()
         self.policy = policy
         self.images: list[Tensor] = []
@@ -186,7 +197,7 @@ class DenseReconstructor:
         return 0 if logits is None else logits.shape[-1]
 
     def _store(self, level: str, points: Tensor) -> ViewStore:
-        heads = self._heads(level) if self.policy.needs_weights else 0
+        heads = self._heads(level) if self.policy.needs_logits else 0
         dtype = DTYPES[self.settings.logits]
         store = ViewStore(self.settings.views, heads, self.policy, logits=dtype)
         store.grow(len(points))
@@ -197,12 +208,15 @@ class DenseReconstructor:
         K, pose = self.K[frame][None], self.poses[frame][None]
         voxels = self.network.visible(points, K, pose, self.size)[0].nonzero().squeeze(1)
         logits = None
-        if self.policy.needs_weights:
+        if self.policy.needs_logits:
             maps = self.maps[frame][level][None]
             tokens = embed(self.network, level, maps, points[voxels], K, pose, self.size)
             logits = self.network.selection_logits(level, tokens[0])
         keys = (points[voxels] / LATTICE).round().long()
-        store.add(frame, voxels, keys, logits)
+        held = torch.stack(self.poses)[:, :3, 3][store.frames[voxels].long()]  # [M, K, 3]
+        new = pose[:, None, :3, 3].expand(len(voxels), 1, 3)
+        centers = torch.cat([held, new], 1) - points[voxels, None]
+        store.add(frame, voxels, keys, logits, centers)
 
     def _fuse(
         self,
@@ -229,21 +243,28 @@ class DenseReconstructor:
     def _fuse_batch(self, level: str, store: ViewStore, points: Tensor, index: Tensor) -> Tensor:
         """Fused features [M, D] of the store's voxels ``index`` [M]."""
         frames = store.frames[index]
-        tokens = points.new_zeros(*frames.shape, self.network.config.width)
+        channels = self.maps[0][level].shape[0]
+        kept = Measurements(
+            points.new_zeros(*frames.shape, channels),
+            points.new_zeros(frames.shape),
+            torch.zeros_like(frames, dtype=torch.bool),
+            points.new_zeros(*frames.shape, 3),
+        )
         for frame in frames.unique().tolist():
             if frame < 0:
                 continue
             row, slot = (frames == frame).nonzero(as_tuple=True)
-            embedded = embed(
+            found = measured(
                 self.network,
-                level,
                 self.maps[frame][level][None],
                 points[index[row]],
                 self.K[frame][None],
                 self.poses[frame][None],
                 self.size,
             )
-            tokens[row, slot] = embedded[0]
+            for every, part in zip(kept, found, strict=True):
+                every[row, slot] = part[0]
+        tokens = self.network.embed_kept(level, kept)
         fused, _ = self.network.fuse(level, tokens, frames >= 0)
         return fused
 

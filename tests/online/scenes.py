@@ -62,6 +62,13 @@ def dense(
     )
 
 
+def trained_to_match(network: Any) -> Any:
+    """As if trained with ``inputs=matching``: what is zero at first is not."""
+    for module in network.agreement.values():
+        torch.nn.init.normal_(module.linear.weight)
+    return network
+
+
 def balanced(network: Any, scene: Scene) -> Any:
     """Shift the heads so that each says yes about half of the time; random ones may never."""
     refinement = network.refinement

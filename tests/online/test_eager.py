@@ -3,7 +3,15 @@
 import pytest
 import torch
 
-from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from online.scenes import (
+    FRAMES,
+    Factory,
+    add,
+    assert_same_surface,
+    balanced,
+    settings_of,
+    trained_to_match,
+)
 from tf_lab.data.scene import Scene
 from tf_lab.online.eager import EagerReconstructor
 from tf_lab.online.reconstructor import Reconstructor
@@ -11,18 +19,24 @@ from tf_lab.online.selection import AttentionSelection, RandomSelection, Selecti
 
 
 @pytest.mark.parametrize(
-    ("policy", "views", "logits"),
+    ("policy", "views", "logits", "matching"),
     [
-        (AttentionSelection(), 3, "float32"),
-        (AttentionSelection(), 3, "float16"),
-        (AttentionSelection(), 16, "float32"),
-        (RandomSelection(4), 3, "float32"),
+        (AttentionSelection(), 3, "float32", False),
+        (AttentionSelection(), 3, "float16", False),
+        (AttentionSelection(), 16, "float32", True),
+        (AttentionSelection(), 3, "float32", True),
+        (RandomSelection(4), 3, "float32", False),
     ],
 )
 def test_lazy_equals_eager(
-    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, views: int, logits: str
+    tiny_network: Factory,
+    scene: Scene,
+    policy: SelectionPolicy,
+    views: int,
+    logits: str,
+    matching: bool,
 ) -> None:
-    network = balanced(tiny_network(), scene)
+    network = balanced(trained_to_match(tiny_network(matching=matching)), scene)
     settings = settings_of(views=views, logits=logits)
     lazy = add(Reconstructor(network, settings, policy), scene)
     eager = add(EagerReconstructor(network, settings, policy), scene)

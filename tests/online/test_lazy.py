@@ -15,6 +15,7 @@ from online.scenes import (
     balanced,
     reconstruct,
     settings_of,
+    trained_to_match,
 )
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -102,12 +103,13 @@ def test_nothing_is_computed_twice(tiny_network: Factory, scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(2)])
-@pytest.mark.parametrize("masks", [True, False])
+@pytest.mark.parametrize(("masks", "matching"), [(True, False), (False, False), (True, True)])
 def test_meshing_in_between_changes_nothing(
-    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, masks: bool
+    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, masks: bool, matching: bool
 ) -> None:
     """Dirty chunks only, regions in any order, frames in between: the same as all at once."""
-    network = balanced(tiny_network(filter=masks), scene)
+    network = tiny_network(filter=masks, matching=matching)
+    network = balanced(trained_to_match(network), scene)
     expected = reconstruct(network, scene, policy=policy, views=2)
     often = Reconstructor(network, settings_of(views=2), policy)
     rng = np.random.default_rng(0)
@@ -190,7 +192,7 @@ def test_compiled_networks_give_the_same_mesh(tiny_network: Factory, scene: Scen
 
 
 def test_view_weights(tiny_network: Factory, scene: Scene) -> None:
-    network = tiny_network()
+    network = trained_to_match(tiny_network(matching=True))
     r = reconstruct(network, scene, views=4, policy=RandomSelection(0))
     points = np.random.default_rng(0).uniform([-1.2, -1.2, 0], [1.2, 1.2, 2.4], (40, 3))
     frames, weights = r.view_weights(points, "coarse")
@@ -200,8 +202,8 @@ def test_view_weights(tiny_network: Factory, scene: Scene) -> None:
     assert (weights[~held] == 0).all()
     rows = r.coarse.blocks.row_of(torch.from_numpy(np.floor(points / 0.3)).long())
     for i in held.any(1).nonzero()[0][:5]:
-        tokens, filled = r.coarse.tokens(rows[i][None], 4)
-        logits = network.fusion["coarse"].selection_logits(tokens)
+        kept, filled = r.coarse.measurements(rows[i][None], 4)
+        logits = network.selection_logits("coarse", network.embed_kept("coarse", kept))
         expected = weights_from_logits(logits, filled)[0].detach()
         np.testing.assert_allclose(weights[i], expected, atol=1e-5)
     nowhere = r.view_weights(np.full((2, 3), 99.0))

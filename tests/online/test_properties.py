@@ -85,7 +85,7 @@ def test_voxels_may_be_processed_in_any_order(
     policy: SelectionPolicy, seed: int, parts: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    voxels, heads = 17, 2 if policy.needs_weights else 0
+    voxels, heads = 17, 2 if policy.needs_logits else 0
     keys = torch.from_numpy(rng.integers(-99, 99, (voxels, 3)))
     stores = [ViewStore(3, heads, policy) for _ in range(2)]
     for store in stores:

@@ -20,6 +20,7 @@ from online.scenes import (
     dense_grid,
     on_grid,
     reconstruct,
+    trained_to_match,
     volumes_of,
 )
 from tf_lab.data.scene import Scene
@@ -139,13 +140,14 @@ def facing_cameras(count: int) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("masks", [True, False])
-@pytest.mark.parametrize("refine", [True, False])
+@pytest.mark.parametrize(("refine", "matching"), [(True, False), (False, False), (True, True)])
 @torch.inference_mode()
 def test_test_time_computes_what_training_computes(
-    tiny_network: Factory, refine: bool, masks: bool
+    tiny_network: Factory, refine: bool, matching: bool, masks: bool
 ) -> None:
     """Where every view sees every voxel, training and the dense reference differ in nothing."""
-    network = tiny_network(refine=refine, filter=masks, far=8.0)
+    network = tiny_network(refine=refine, matching=matching, filter=masks, far=8.0)
+    trained_to_match(network)
     K, poses = facing_cameras(4)
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (4, 24, 32, 3), generator=generator, dtype=torch.uint8)
@@ -169,18 +171,19 @@ def test_test_time_computes_what_training_computes(
 
 
 @pytest.mark.parametrize(
-    ("masks", "refine", "policy"),
+    ("policy", "changes"),
     [
-        (True, True, AttentionSelection()),
-        (True, False, RandomSelection(3)),
-        (False, True, RandomSelection(1)),
+        (AttentionSelection(), {}),
+        (RandomSelection(3), {"refine": False}),
+        (RandomSelection(1), {"filter": False}),
+        (RandomSelection(2), {"matching": True}),
     ],
 )
 def test_sparse_equals_dense(
-    tiny_network: Factory, scene: Scene, masks: bool, refine: bool, policy: SelectionPolicy
+    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, changes: dict[str, bool]
 ) -> None:
     """The same view sets and mesh as dense volumes, dense convolutions, one marching cubes."""
-    network = balanced(tiny_network(filter=masks, refine=refine), scene)
+    network = balanced(trained_to_match(tiny_network(**changes)), scene)
     r = reconstruct(network, scene, policy=policy, views=3)
     reference = dense(network, scene, policy=policy, views=3)
     mesh, expected = r.mesh(), reference.mesh()

@@ -11,7 +11,14 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.online.selection import AttentionSelection, RandomSelection, make_policy
+from tf_lab.online.selection import (
+    AttentionSelection,
+    Candidates,
+    RandomSelection,
+    make_policy,
+    slots,
+    uniform,
+)
 from tf_lab.online.view_store import ViewStore
 
 K, N = 4, 10
@@ -31,18 +38,18 @@ def reservoir(keys: Tensor, seed: int, frames: int = N) -> Tensor:
     rows = torch.arange(len(keys))
     for frame in range(frames):
         seen = torch.full((len(keys),), frame)
-        slot = policy.slots(torch.zeros(len(keys), K), seen, keys)
+        slot = slots(policy, Candidates(seen, keys, torch.zeros(len(keys), K + 1).long()))
         kept = slot >= 0
         held[rows[kept], slot[kept]] = frame
     return held.sort(dim=1).values
 
 
 def test_attention_drops_the_lowest_weight() -> None:
-    weights = torch.tensor([[0.4, 0.1, 0.3, 0.2], [0.1, 0.2, 0.3, 0.4]])
-    seen, keys = torch.tensor([4, 17]), torch.zeros(2, 3, dtype=torch.int64)
-    assert AttentionSelection().slots(weights, seen, keys).tolist() == [1, 0]
-    # what is read from slots that aren't full yet must not matter
-    assert AttentionSelection().slots(weights, torch.tensor([0, 3]), keys).tolist() == [0, 3]
+    weights = torch.tensor([[0.4, 0.1, 0.3, 0.2, 0.0], [0.1, 0.2, 0.3, 0.4, 9.0]])
+    keys, frames = torch.zeros(2, 3, dtype=torch.int64), torch.arange(5).expand(2, 5)
+    for seen, expected in (([4, 17], [1, 0]), ([0, 3], [0, 3])):  # full slots, and some empty
+        candidates = Candidates(torch.tensor(seen), keys, frames, weights[..., None].log())
+        assert slots(AttentionSelection(), candidates).tolist() == expected
 
 
 @given(
@@ -139,7 +146,7 @@ def test_fewer_frames_than_slots_are_all_kept() -> None:
 
 
 def test_uniform_numbers_lie_in_the_unit_interval() -> None:
-    draw = RandomSelection(3)._uniform(lattice(20_000), torch.arange(20_000))
+    draw = uniform(3, lattice(20_000), torch.arange(20_000))
     assert draw.min() >= 0
     assert draw.max() < 1
     count = np.bincount((draw * 64).long().numpy(), minlength=64)

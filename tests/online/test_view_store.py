@@ -21,12 +21,12 @@ def logits_of(frame: int, voxels: Tensor) -> Tensor:
 
 def fill(policy: SelectionPolicy, views: int, sights: list[list[int]]) -> ViewStore:
     keys = torch.stack([torch.arange(VOXELS)] * 3, 1)
-    store = ViewStore(views, HEADS if policy.needs_weights else 0, policy, logits=torch.float32)
+    store = ViewStore(views, HEADS if policy.needs_logits else 0, policy, logits=torch.float32)
     store.grow(VOXELS)
     for frame, voxels in enumerate(sights):
         index = torch.tensor(sorted(voxels), dtype=torch.int64)
         store.add(
-            frame, index, keys[index], logits_of(frame, index) if policy.needs_weights else None
+            frame, index, keys[index], logits_of(frame, index) if policy.needs_logits else None
         )
     return store
 
@@ -49,7 +49,7 @@ def test_invariants(policy: SelectionPolicy, views: int, sights: list[list[int]]
         assert set(held) <= set(saw)
         if len(saw) <= views:
             assert held == saw  # in their order, in the first slots
-        if policy.needs_weights and saw:
+        if policy.needs_logits and saw:
             assert saw[-1] in held  # the latest is always added (paper, Sec. 3.4)
 
 
@@ -105,16 +105,16 @@ def test_dirty_means_that_the_view_set_changed() -> None:
     rows = torch.arange(200)
     keys = rows[:, None].expand(-1, 3)
     for policy in (AttentionSelection(), RandomSelection(1)):
-        store = ViewStore(2, HEADS if policy.needs_weights else 0, policy)
+        store = ViewStore(2, HEADS if policy.needs_logits else 0, policy)
         store.grow(len(rows))
         assert not store.dirty.any()
         for frame in range(9):
             before = store.frames.clone()
             store.dirty[:] = False
-            logits = logits_of(frame, rows) if policy.needs_weights else None
+            logits = logits_of(frame, rows) if policy.needs_logits else None
             store.add(frame, rows, keys, logits)
             assert torch.equal(store.dirty, (store.frames != before).any(1))
-        assert store.dirty.all() == policy.needs_weights
+        assert store.dirty.all() == policy.needs_logits
 
 
 def test_huge_logits_stay_finite() -> None:

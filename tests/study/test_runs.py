@@ -67,7 +67,7 @@ def changed(name: str) -> dict[str, Any]:
     return config
 
 
-# the rows of the paper's tables, by the names they have on the command line
+# the rows of the paper's tables and ours beyond them, by their names on the command line
 ROWS = {
     "ours": "",
     "avg": "fusion=avg",
@@ -76,6 +76,7 @@ ROWS = {
     "no_filter": "filter=false",
     "no_depth": "inputs=no_depth",
     "no_ray": "inputs=no_ray",
+    "matching": "inputs=matching",
     "views4_rnd": "views=4 select=rnd",
     "views4": "views=4",
     "views8_rnd": "views=8 select=rnd",
@@ -131,6 +132,14 @@ def test_whatever_changes_the_batch_makes_a_new_training() -> None:
         assert keys(composed(option))[0] != keys(DEFAULT)[0], option
 
 
+def test_a_training_of_before_matching_is_found_again() -> None:
+    old = copy.deepcopy(DEFAULT)
+    del old["inputs"]["matching"]
+    assert keys(old) == keys(DEFAULT)
+    assert row_label(old) == "Ours"
+    assert training_directory(old) == training_directory(DEFAULT)
+
+
 @pytest.mark.parametrize("row", ROWS)
 def test_a_row_is_its_settings_whatever_it_is_called(row: str) -> None:
     assert run_directory(composed(f"row={row}")) == run_directory(composed(*ROWS[row].split()))
@@ -172,6 +181,8 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         ("filter=false", "Ours: w/o C2F filter"),
         ("inputs=no_depth", "Ours: w/o projected depth"),
         ("inputs=no_ray", "Ours: w/o view ray"),
+        # ours, not the paper's
+        ("inputs=matching", "Ours: + matching"),
         # a combination that the paper does not have names both
         ("refine=false views=4", "Ours: w/o spatial ref., 4 images"),
     ],

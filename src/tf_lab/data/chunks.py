@@ -6,8 +6,8 @@ records what a training step sees, wherever they come from.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -30,11 +30,11 @@ class ChunkSettings:
 
     Attributes:
         chunks: chunks a step and process (4 in the paper).
-        images: random images a chunk (8 in the paper).
+        images: random images a chunk (8 in the paper), the candidates that voxels choose from.
         views: K_t, how many of its valid images every voxel keeps, as at test time; one of the
             numbers is drawn a step. Empty: it keeps all images, valid or not (paper).
-        ranked: share of the steps that keep the views of the highest attention weight, as
-            attention selection does at test time, instead of random ones.
+        rules: by which policy of view selection it keeps them, and in how many of the steps:
+            weights by name, of which one is drawn a step.
         points: occupancy samples a chunk (1000 in the paper).
         near_share: share of them within 10 cm of the surface (0.8 in the paper).
         coverage: least share of the chunk that an image must see.
@@ -44,7 +44,7 @@ class ChunkSettings:
     chunks: int = 4
     images: int = 8
     views: tuple[int, ...] = ()
-    ranked: float = 0.0
+    rules: Mapping[str, float] = field(default_factory=lambda: {"random": 1.0})
     points: int = 1000
     near_share: float = 0.8
     coverage: float = 0.3
@@ -102,8 +102,9 @@ class ChunkBatch:
         fine_target: bool [B, 15, 15, 15], surface within 10 cm.
         points: [B, P, 3], metres.
         sdf: [B, P] signed distance in metres, NaN where unknown.
-        keep: int [B], K_t, the same for all: views a voxel keeps; 0: all images, valid or not.
-        ranked: bool [B], the same for all: it keeps those of the highest attention weight.
+        keep: K_t, views a voxel keeps; 0: all images, valid or not.
+        rule: the policy of view selection that chooses them.
+        draw: seed of what is random in it.
     """
 
     images: Tensor
@@ -113,13 +114,18 @@ class ChunkBatch:
     fine_target: Tensor
     points: Tensor
     sdf: Tensor
-    keep: Tensor
-    ranked: Tensor
+    keep: int
+    rule: str
+    draw: int
 
     def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
         """The batch on another device (Lightning calls this)."""
-        moved = {k: v.to(device, non_blocking=non_blocking) for k, v in vars(self).items()}
-        return ChunkBatch(**moved)
+        moved = {
+            name: value.to(device, non_blocking=non_blocking)
+            for name, value in vars(self).items()
+            if isinstance(value, Tensor)
+        }
+        return ChunkBatch(**{**vars(self), **moved})
 
 
 class ChunkSource(Protocol):
@@ -146,7 +152,8 @@ def make_batch(
 
     How many views are kept and by which rule is a function of seed and step, the same in all
     processes: none waits for another that keeps more. Which images are used, of records that hold
-    more than ``settings.images``, is a function of seed, rank and step.
+    more than ``settings.images``, and the seed of random choices are functions of seed, rank and
+    step.
 
     Raises:
         TFLabError: an image is damaged, or they are of several sizes.
@@ -156,7 +163,7 @@ def make_batch(
         raise TFLabError(f"images of {sizes} pixels in one batch; prepare all scenes at one size")
     rng = np.random.default_rng([seed, 0, step, 1])  # [seed, 0, index] is a record's
     keep = int(rng.choice(settings.views)) if settings.views else 0
-    ranked = bool(rng.random() < settings.ranked)
+    rule = _draw(settings.rules, rng)
     rng = np.random.default_rng([seed, rank, step, 2])
     chosen = [_choose(len(r.images), settings.images, rng) for r in records]
     views = list(zip(records, chosen, strict=True))
@@ -172,9 +179,17 @@ def make_batch(
         fine_target=torch.stack([r.fine_target for r in records]),
         points=torch.stack([r.points for r in records]),
         sdf=torch.stack([r.sdf for r in records]),
-        keep=torch.full((len(records),), keep),
-        ranked=torch.full((len(records),), ranked),
+        keep=keep,
+        rule=rule,
+        draw=int(rng.integers(2**62)),
     )
+
+
+def _draw(weights: Mapping[str, float], rng: np.random.Generator) -> str:
+    """A name at random, by weights."""
+    names = sorted(weights)
+    shares = np.array([weights[name] for name in names], float)
+    return names[rng.choice(len(names), p=shares / shares.sum())]
 
 
 def _choose(count: int, wanted: int, rng: np.random.Generator) -> list[int]:

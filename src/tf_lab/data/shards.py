@@ -33,6 +33,7 @@ from tf_lab.files import atomic_path, remove_abandoned, write_json
 FORMAT = 1
 INDEX = "shards.json"
 PLAN = "plan.json"
+CHOSEN_BY_STEP = ("chunks", "views", "rules")  # settings of training that shape no chunk
 TENSORS = ("K", "world_T_cam", "coarse_target", "fine_target", "points", "sdf")
 
 
@@ -139,8 +140,7 @@ def write_shards(
 
 def _plan(sampler: ChunkSampler, count: int, seed: int, per_shard: int) -> dict[str, Any]:
     """All that shapes the chunks."""
-    drawn = {k: v for k, v in asdict(sampler.settings).items() if k not in ("chunks", "views")}
-    del drawn["ranked"]  # as the other two: chosen at every step
+    drawn = {k: v for k, v in asdict(sampler.settings).items() if k not in CHOSEN_BY_STEP}
     digest = hashlib.sha256()
     for scene in sampler.scenes:
         for name in ("scene.json", "cameras.npz", "groundtruth/chunks.npz"):

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
+from tf_lab.network.agreement import Agreement
 from tf_lab.network.encoder import Encoder, normalise_images
-from tf_lab.network.fusion import STRATEGIES, Fusion, weights_from_logits
+from tf_lab.network.fusion import STRATEGIES, Fusion
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.tokens import Measurements, Tokens, measure
@@ -29,6 +30,7 @@ class NetworkConfig:
         blocks, heads, expansion: of each fusion module.
         fusion: "transformer", "avg" or "pred".
         depth, ray: whether tokens get the projected depth and the viewing ray.
+        matching: whether kept tokens get evidence that the views agree; see `Agreement`.
         refine: whether 3D CNNs refine the features.
         refine_blocks: residual blocks a level.
         filter: whether near-surface masks are trained and used.
@@ -47,6 +49,7 @@ class NetworkConfig:
     fusion: str = "transformer"
     depth: bool = True
     ray: bool = True
+    matching: bool = False
     refine: bool = True
     filter: bool = True
     near: float = 0.3
@@ -57,6 +60,24 @@ class NetworkConfig:
             raise TFLabError(f"fusion={self.fusion}: choose one of {', '.join(STRATEGIES)}")
         if self.width % self.heads:
             raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")
+
+
+class KeepViews(Protocol):
+    """Chooses which of their V views voxels keep in training."""
+
+    needs_logits: bool
+
+    def __call__(
+        self, logits: Tensor | None, valid: Tensor, centers: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Views int64 [P, K_t], and which of these slots are filled, bool [P, K_t].
+
+        Args:
+            logits: [P, V, H] of selection; None if it needs none, or nothing ranks views.
+            valid: bool [P, V], which views see the voxel.
+            centers: [P, V, 3], the cameras' centres relative to the voxel, metres.
+        """
+        ...
 
 
 @dataclass
@@ -99,10 +120,14 @@ class Network(nn.Module):
         )
         self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
         self.occupancy = OccupancyMLP(c.width, c.hidden)
+        # last, so that all other weights are drawn as without it
+        self.agreement = nn.ModuleDict(
+            {name: Agreement(channels[name], c.width) for name in LEVELS if c.matching}
+        )
 
     def compile_parts(self) -> None:
         """Have torch compile what takes most of the time: the encoder and the fusion modules."""
-        for part in (self.encoder, *self.fusion.values()):
+        for part in (self.encoder, *self.fusion.values(), *self.agreement.values()):
             part.compile(dynamic=True)
 
     def encode(self, images: Tensor) -> dict[str, Tensor]:
@@ -110,6 +135,15 @@ class Network(nn.Module):
         x = normalise_images(images).contiguous(memory_format=torch.channels_last)
         coarse, fine = self.encoder(x)
         return {"coarse": coarse, "fine": fine}
+
+    def embed(self, level: str, measured: Measurements) -> Tensor:
+        """Tokens [..., D], each of one measurement alone: what views are selected by."""
+        return self.tokens[level](*measured)
+
+    def embed_kept(self, level: str, kept: Measurements) -> Tensor:
+        """Tokens [..., K, D] of the measurements that voxels keep, as they are fused."""
+        tokens = self.embed(level, kept)
+        return tokens + self.agreement[level](kept) if self.config.matching else tokens
 
     def fuse(self, level: str, tokens: Tensor, slots: Tensor | None) -> tuple[Tensor, Tensor]:
         """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
@@ -130,8 +164,7 @@ class Network(nn.Module):
         fine_grid: VoxelGrid,
         points: Tensor,
         coarse_target: Tensor | None,
-        keep: int | None = None,
-        ranked: bool = False,
+        keep: KeepViews | None = None,
         maps: Mapping[str, Tensor] | None = None,
     ) -> Predictions:
         """One training pass over chunks that share a grid, each in its own frame.
@@ -145,9 +178,8 @@ class Network(nn.Module):
             points: [B, P, 3] where occupancy is asked for.
             coarse_target: bool [B, X, Y, Z]; the fine level is computed where it or the predicted
                 coarse mask is true, so that it meets in training what it will meet at test time.
-            keep: K_t, how many of its valid views every voxel keeps, as at test time; None: all
-                V views, invalid ones too (paper).
-            ranked: keep those of the highest attention weight instead of the first.
+            keep: which of its valid views every voxel keeps, as at test time; None: all V views,
+                invalid ones too (paper).
             maps: the images' feature maps [B * V, C, h, w] by level, where they are known.
         """
         B, V = images.shape[:2]
@@ -163,8 +195,9 @@ class Network(nn.Module):
             parts = measure(maps[level], each, *cameras, size, depth_range)
             chosen = (m.unflatten(0, (B, V)).transpose(1, 2)[where] for m in parts)
             measured = Measurements(*chosen)
-            kept, slots = self.keep_views(level, measured, keep, ranked)
-            return self.fuse(level, self.tokens[level](*kept), slots)[0], measured.valid.any(1)
+            centers = (world_T_cam[:, None, :, :3, 3] - points.unsqueeze(2))[where]
+            kept, slots = self.keep_views(level, measured, centers, keep)
+            return self.fuse(level, self.embed_kept(level, kept), slots)[0], measured.valid.any(1)
 
         def seen(where: Tensor) -> Tensor:
             return self.visible(where.unsqueeze(-3), K, world_T_cam, size).any(1)
@@ -204,38 +237,34 @@ class Network(nn.Module):
         return seen & (near if target is None else near | target)
 
     def keep_views(
-        self, level: str, measured: Measurements, keep: int | None, ranked: bool
+        self, level: str, measured: Measurements, centers: Tensor, keep: KeepViews | None
     ) -> tuple[Measurements, Tensor | None]:
         """The measurements that voxels keep in training: what the view store does at test time.
 
         Args:
             level: "coarse" or "fine".
             measured: of points in views, [P, V, ...].
-            keep: K_t; None keeps everything.
-            ranked: by attention weight, if the fusion has a preference; else the first ones.
+            centers: [P, V, 3], see `KeepViews`.
+            keep: chooses; None keeps everything.
 
         Returns:
             Measurements [P, K_t, ...] and which slots are filled, bool [P, K_t]; None: all.
         """
         if keep is None:
             return measured, None
-        valid = measured.valid
-        score = torch.arange(valid.shape[1], 0, -1, device=valid.device).expand(valid.shape)
-        if ranked:
-            with torch.no_grad():
-                logits = self.selection_logits(level, self.tokens[level](*measured))
-            if logits is not None:
-                score = weights_from_logits(logits, valid)
-        score = score.float().masked_fill(~valid, -1.0)
-        best = score.topk(min(keep, valid.shape[1]), dim=1).indices
-        index = best.unsqueeze(-1)
+        with torch.no_grad():
+            logits = None
+            if keep.needs_logits:
+                logits = self.selection_logits(level, self.embed(level, measured))
+            views, slots = keep(logits, measured.valid, centers)
+        index = views.unsqueeze(-1)
         kept = Measurements(
             torch.take_along_dim(measured.phi, index, dim=1),
-            measured.depth.gather(1, best),
-            valid.gather(1, best),
+            measured.depth.gather(1, views),
+            measured.valid.gather(1, views) & slots,
             torch.take_along_dim(measured.ray, index, dim=1),
         )
-        return kept, kept.valid
+        return kept, slots
 
     def decode(
         self,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from tf_lab.network.fusion import weights_from_logits
 from tf_lab.online.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 
@@ -50,15 +49,15 @@ class EagerReconstructor(Reconstructor):
     def _fuse_with(self, level: Level, frame: int, rows: Tensor) -> None:
         """Add a frame's measurement to voxels (rows [M]), and fuse all that they hold."""
         store = level.store
-        weights = torch.zeros(1, store.views, device=self.device).expand(len(rows), -1)
-        if store.policy.needs_weights:  # of the fusion at the frame before
-            weights = weights_from_logits(store.logits[rows], None)
-        slot = store.policy.slots(weights, store.seen[rows].long(), level.keys(rows))
-        store.put(frame, rows, slot, None)
-        tokens, filled = level.tokens(rows, store.views)
-        psi, _ = self.network.fuse(level.name, tokens, filled)
-        logits = self.network.selection_logits(level.name, tokens) if store.heads else None
-        if logits is not None:
+        # selection reads the logits of the fusion at the frame before, and the new measurement's
+        logits = level.logits(rows, torch.full_like(rows, frame)) if store.heads else None
+        store.add(frame, rows, level.keys(rows), logits, level.centers(frame, rows))
+        kept, filled = level.measurements(rows, store.views)
+        psi, _ = self.network.fuse(level.name, self.network.embed_kept(level.name, kept), filled)
+        if store.heads:
+            tokens = self.network.embed(level.name, kept)
+            logits = self.network.selection_logits(level.name, tokens)
+            assert logits is not None
             store.logits[rows] = store.rounded(logits)
         level.features["psi"][rows] = psi.float()
         store.dirty[rows] = False

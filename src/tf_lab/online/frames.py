@@ -17,6 +17,7 @@ from torch import Tensor
 
 from tf_lab.geometry import in_view, invert_pose, project, view_rays
 from tf_lab.network.network import LEVELS, Network
+from tf_lab.network.tokens import Measurements
 from tf_lab.online.frustum import frustum_planes
 from tf_lab.online.table import Table
 
@@ -113,21 +114,22 @@ class Frames:
         K, pose = self.cameras["K"][frame], self.cameras["world_T_cam"][frame]
         return self.network.visible(points, K[None], pose[None], self.size)[0]
 
-    def tokens(self, level: str, points: Tensor, frames: Tensor) -> Tensor:
-        """What frames [P] say about points [P, 3], one each: tokens [P, D]."""
-        parts = zip(points.split(PAIRS), frames.long().split(PAIRS), strict=True)
-        found = [self._tokens(level, p, f) for p, f in parts]
-        return torch.cat(found) if len(found) != 1 else found[0]
+    def measure(self, level: str, points: Tensor, frames: Tensor) -> Measurements:
+        """What frames [P] measure at points [P, 3], one each: [P, ...]."""
+        pairs = zip(points.split(PAIRS), frames.long().split(PAIRS), strict=True)
+        found = [self._measure(level, p, f) for p, f in pairs]
+        if len(found) == 1:
+            return found[0]
+        return Measurements(*map(torch.cat, zip(*found, strict=True)))
 
-    def _tokens(self, level: str, points: Tensor, frames: Tensor) -> Tensor:
-        c, network = self.cameras, self.network
+    def _measure(self, level: str, points: Tensor, frames: Tensor) -> Measurements:
+        c, config = self.cameras, self.network.config
         one = points[:, None]
         uv, depth = project(one, c["K"][frames], c["cam_T_world"][frames])
-        valid = in_view(uv, depth, self.size, network.config.near, network.config.far)
+        valid = in_view(uv, depth, self.size, config.near, config.far)
         ray = view_rays(one, c["world_T_cam"][frames])
         phi = self._sample(level, frames.to(self.maps_device), uv[:, 0].to(self.maps_device))
-        parts = (phi.to(self.device).float(), depth[:, 0], valid[:, 0], ray[:, 0])
-        return network.tokens[level](*parts)
+        return Measurements(phi.to(self.device).float(), depth[:, 0], valid[:, 0], ray[:, 0])
 
     def _sample(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
         """Bilinear samples [P, C] of the frames' maps at pixels [P, 2], as `sample_maps`."""

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tf_lab.network.tokens import Measurements
 from tf_lab.online.blocks import Blocks, dilate, offsets
 from tf_lab.online.frames import Frames
 from tf_lab.online.table import Table
@@ -40,9 +41,9 @@ class Level:
         self, name: str, voxel: float, frames: Frames, store: ViewStore, is_open: bool
     ) -> None:
         self.name, self.voxel, self.frames, self.store = name, voxel, frames, store
-        self.device = frames.device
+        self.device, self.network = frames.device, frames.network
         self.blocks = Blocks(BLOCK, self.device)
-        width = frames.network.config.width
+        width = self.network.config.width
         self.features = Table(self.device)
         for column in ("psi", "refined"):
             self.features.add_column(column, (width,), torch.float32, 0)
@@ -77,12 +78,24 @@ class Level:
     def offer(self, frame: int, rows: Tensor) -> None:
         """Offer a frame's measurements to the voxels (rows [M]) that it sees: by logits alone."""
         logits = self.logits(rows, torch.full_like(rows, frame)) if self.store.heads else None
-        self.store.add(frame, rows, self.keys(rows), logits)
+        self.store.add(frame, rows, self.keys(rows), logits, self.centers(frame, rows))
+
+    def centers(self, frame: int, rows: Tensor) -> Tensor | None:
+        """Cameras [M, K + 1, 3] of what rows [M] hold and of a new frame, relative to the voxels.
+
+        Metres; anything where a slot is empty. None if the policy needs none.
+        """
+        if not self.store.policy.needs_centers:
+            return None
+        every = self.frames.cameras["world_T_cam"][:, :3, 3]
+        held = every[self.store.frames[rows].long()]
+        new = every[frame].expand(len(rows), 1, 3)
+        return torch.cat([held, new], 1) - self.points(rows)[:, None]
 
     def logits(self, rows: Tensor, frames: Tensor) -> Tensor | None:
         """Selection logits [M, H] of frames [M] at rows [M]."""
-        tokens = self.frames.tokens(self.name, self.points(rows), frames)
-        return self.frames.network.selection_logits(self.name, tokens)
+        measured = self.frames.measure(self.name, self.points(rows), frames)
+        return self.network.selection_logits(self.name, self.network.embed(self.name, measured))
 
     def keys(self, rows: Tensor) -> Tensor:
         """Lattice coordinates [M, 3] that no two voxels of any level share."""
@@ -103,20 +116,22 @@ class Level:
         for start in range(0, len(rows), batch):
             part = order[start : start + batch]
             k = max(1, most[min(start + batch, len(rows)) - 1])
-            tokens, slots = self.tokens(rows[part], k)
-            fused, w = self.frames.network.fuse(self.name, tokens, slots)
+            kept, slots = self.measurements(rows[part], k)
+            tokens = self.network.embed_kept(self.name, kept)
+            fused, w = self.network.fuse(self.name, tokens, slots)
             psi[part], weights[part, :k] = fused.float(), w.float()
         return psi, weights
 
-    def tokens(self, rows: Tensor, slots: int) -> tuple[Tensor, Tensor]:
-        """Tokens [M, slots, D] of the first slots of rows [M], and which are filled."""
+    def measurements(self, rows: Tensor, slots: int) -> tuple[Measurements, Tensor]:
+        """What the first slots of rows [M] hold, [M, slots, ...], and which are filled."""
         frames = self.store.frames[rows, :slots]
         filled = frames >= 0
         row, slot = filled.nonzero(as_tuple=True)
-        found = self.frames.tokens(self.name, self.points(rows[row]), frames[row, slot])
-        tokens = found.new_zeros(*frames.shape, found.shape[1])
-        tokens[row, slot] = found
-        return tokens, filled
+        found = self.frames.measure(self.name, self.points(rows[row]), frames[row, slot])
+        kept = [part.new_zeros(*frames.shape, *part.shape[1:]) for part in found]
+        for every, part in zip(kept, found, strict=True):
+            every[row, slot] = part
+        return Measurements(*kept), filled
 
     def blocks_in(self, box: Box | None) -> Tensor:
         """Which blocks a box touches: bool [blocks]."""

@@ -60,7 +60,7 @@ class Reconstructor:
         self.settings = settings = settings or ReconstructionSettings()
         self.device = next(network.parameters()).device
         policy = policy or AttentionSelection()
-        if policy.needs_weights and self._heads("coarse") == 0:
+        if policy.needs_logits and self._heads("coarse") == 0:
             policy = RandomSelection()
         self.policy = policy
         maps_device = None if settings.maps_device is None else torch.device(settings.maps_device)
@@ -231,7 +231,7 @@ class Reconstructor:
         return 0 if logits is None else logits.shape[-1]
 
     def _level(self, name: str, voxel: float) -> Level:
-        heads = self._heads(name) if self.policy.needs_weights else 0
+        heads = self._heads(name) if self.policy.needs_logits else 0
         dtype = DTYPES[self.settings.logits]
         store = ViewStore(self.settings.views, heads, self.policy, self.device, dtype)
         return Level(name, voxel, self.frames, store, is_open=name == "coarse")

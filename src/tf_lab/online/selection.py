@@ -1,42 +1,85 @@
 """Which views a voxel keeps when its K slots are full (paper, Sec. 3.4). Knows no model.
 
-A policy answers, for voxels that a new frame sees, which slot its measurement takes.
+A policy says, of voxels that a new frame sees, which of the K measurements they hold and the new
+one is to go.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.fusion import weights_from_logits
+
+
+class Candidates(NamedTuple):
+    """The K measurements that each of M voxels holds and, last, the new one.
+
+    Attributes:
+        seen: int64 [M], how many frames saw the voxel before this one.
+        keys: int64 [M, 3], the voxels' lattice coordinates, the same in every call.
+        frames: int64 [M, K + 1], numbers of the frames.
+        logits: [M, K + 1, H], first-block attention logits; None if the policy needs none.
+        centers: [M, K + 1, 3], the cameras' centres relative to the voxel, metres; None likewise.
+    """
+
+    seen: Tensor
+    keys: Tensor
+    frames: Tensor
+    logits: Tensor | None = None
+    centers: Tensor | None = None
 
 
 class SelectionPolicy(Protocol):
-    """One signature for all policies; ``needs_weights`` tells whether weights are looked at."""
+    """One signature for all policies.
 
-    needs_weights: bool
+    Attributes:
+        name: in configs, files and the names of runs.
+        seed: of what is random.
+        needs_logits, needs_centers: whether these of the candidates are read.
+    """
 
-    def slots(self, weights: Tensor, seen: Tensor, keys: Tensor) -> Tensor:
-        """The slot [M] (int64) that the new measurement takes in each voxel; -1: none.
+    name: str
+    seed: int
+    needs_logits: bool
+    needs_centers: bool
 
-        Args:
-            weights: [M, K] of the measurements held; only read where all slots are full.
-            seen: int64 [M], how many frames saw the voxel before this one.
-            keys: int64 [M, 3], the voxels' lattice coordinates, the same in every call.
+    def drop(self, candidates: Candidates) -> Tensor:
+        """Which of its K + 1 measurements each voxel gives up: int64 [M]; K is the new one.
+
+        Only what is said of voxels whose slots are full counts.
         """
         ...
+
+
+def slots(policy: SelectionPolicy, candidates: Candidates) -> Tensor:
+    """The slot that the new measurement takes in each voxel, int64 [M]; -1: none.
+
+    The first K measurements fill the slots in their order.
+    """
+    k = candidates.frames.shape[1] - 1
+    slot = policy.drop(candidates)
+    return torch.where(candidates.seen < k, candidates.seen, slot.masked_fill(slot == k, -1))
 
 
 class AttentionSelection:
     """Drop the measurement with the lowest weight, then add the new one (paper, Sec. 3.4)."""
 
-    needs_weights = True
+    name = "attention"
+    needs_logits, needs_centers = True, False
 
-    def slots(self, weights: Tensor, seen: Tensor, keys: Tensor) -> Tensor:
-        """See `SelectionPolicy`. Ties drop the first."""
-        return torch.where(seen < weights.shape[1], seen, weights.argmin(dim=1))
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+
+    def drop(self, candidates: Candidates) -> Tensor:
+        """See `SelectionPolicy`. Of equals the first goes."""
+        assert candidates.logits is not None
+        return weights_from_logits(candidates.logits[:, :-1], None).argmin(dim=1)
 
 
 class RandomSelection:
@@ -46,24 +89,64 @@ class RandomSelection:
     function of (seed, voxel, count) alone, whatever the order in which voxels are processed.
     """
 
-    needs_weights = False
+    name = "random"
+    needs_logits, needs_centers = False, False
 
     def __init__(self, seed: int = 0) -> None:
         self.seed = seed
 
-    def slots(self, weights: Tensor, seen: Tensor, keys: Tensor) -> Tensor:
+    def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`."""
-        k = weights.shape[1]
-        draw = self._uniform(keys, seen) * (seen + 1).double()
-        slot = torch.where(draw < k, draw.long(), torch.full_like(seen, -1))
-        return torch.where(seen < k, seen, slot)
+        seen, k = candidates.seen, candidates.frames.shape[1] - 1
+        draw = uniform(self.seed, candidates.keys, seen) * (seen + 1).double()
+        return draw.long().clamp(max=k)
 
-    def _uniform(self, keys: Tensor, counter: Tensor) -> Tensor:
-        """Uniform float64 [M] in [0, 1), hashed from seed, lattice coordinates and counter."""
-        state = torch.full_like(counter, self.seed)
-        for word in (*keys.unbind(-1), counter):
-            state = _mix(state ^ _mix(word + 0x632BE59B))
-        return (state >> 11 & (1 << 52) - 1).double() / (1 << 52)
+
+class DiverseSelection:
+    """A random subset that attention prefers and that looks from many sides (ours).
+
+    Drop, of the K + 1 measurements, the one of the lowest sum of its logit, a Gumbel variate and
+    the logarithm of the angle to the nearest other viewing direction. Without the angle this draws
+    without replacement by softmax weights (Gumbel top-k, Kool et al. 2019). The variates are hashed
+    from (seed, voxel, frame), so that neighbouring voxels keep other views, and their 3D CNN meets
+    more of the scene's.
+    """
+
+    name = "diverse"
+    needs_logits, needs_centers = True, True
+
+    def __init__(self, seed: int = 0, spread: float = 1.0) -> None:
+        self.seed, self.spread = seed, spread
+
+    def drop(self, candidates: Candidates) -> Tensor:
+        """See `SelectionPolicy`."""
+        _, keys, frames, logits, centers = candidates
+        assert logits is not None and centers is not None
+        score = logits.float().mean(-1) + gumbel(self.seed, keys, frames)
+        return (score + self.spread * angle_to_nearest(centers).log()).argmin(dim=1)
+
+
+def gumbel(seed: int, keys: Tensor, frames: Tensor) -> Tensor:
+    """Standard Gumbel variates float32 [M, K], hashed from seed, keys [M, 3] and frames [M, K]."""
+    chance = uniform(seed, keys[:, None].expand(*frames.shape, 3), frames).float()
+    return -(-chance.clamp(1e-7, 1 - 1e-7).log()).log()
+
+
+def angle_to_nearest(centers: Tensor) -> Tensor:
+    """Angle (radians, a little more than 0) of each direction [..., K, 3] to the nearest other."""
+    direction = F.normalize(centers, dim=-1)
+    cosine = direction @ direction.transpose(-1, -2)
+    itself = torch.eye(cosine.shape[-1], dtype=torch.bool, device=cosine.device)
+    nearest = cosine.masked_fill(itself, -1).amax(-1)
+    return torch.acos(nearest.clamp(-1, 1)) + 0.05
+
+
+def uniform(seed: int, keys: Tensor, counter: Tensor) -> Tensor:
+    """Uniform float64 [...] in [0, 1), hashed from seed, keys int64 [..., 3] and counter [...]."""
+    state = torch.full_like(counter, seed)
+    for word in (*keys.unbind(-1), counter):
+        state = _mix(state ^ _mix(word + 0x632BE59B))
+    return (state >> 11 & (1 << 52) - 1).double() / (1 << 52)
 
 
 def _mix(x: Tensor) -> Tensor:
@@ -79,14 +162,19 @@ def _shift(x: Tensor, bits: int) -> Tensor:
     return (x >> bits) & ((1 << (64 - bits)) - 1)
 
 
+POLICIES: dict[str, Callable[[int], SelectionPolicy]] = {
+    "attention": AttentionSelection,
+    "random": RandomSelection,
+    "diverse": DiverseSelection,
+}
+
+
 def make_policy(name: str, seed: int) -> SelectionPolicy:
-    """The policy called "attention" or "random".
+    """The policy of a name.
 
     Raises:
-        TFLabError: another name.
+        TFLabError: there is none.
     """
-    if name == "attention":
-        return AttentionSelection()
-    if name == "random":
-        return RandomSelection(seed)
-    raise TFLabError(f"select.policy={name}: choose attention or random")
+    if name not in POLICIES:
+        raise TFLabError(f"select.policy={name}: choose one of {', '.join(POLICIES)}")
+    return POLICIES[name](seed)

@@ -18,7 +18,7 @@ from tf_lab.files import atomic_path
 from tf_lab.network.network import Network
 from tf_lab.online.level import Level
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import RandomSelection, make_policy
+from tf_lab.online.selection import make_policy
 from tf_lab.online.settings import ReconstructionSettings
 
 FORMAT = 1
@@ -28,12 +28,11 @@ COLUMNS = ("frames", "logits", "seen")
 def save_reconstruction(reconstructor: Reconstructor, path: Path) -> None:
     """Write a reconstruction as safetensors, whole or not at all; the network is not part of it."""
     r = reconstructor
-    policy = r.policy
     metadata = {
         "format": FORMAT,
         "settings": asdict(r.settings),
-        "policy": "random" if isinstance(policy, RandomSelection) else "attention",
-        "seed": policy.seed if isinstance(policy, RandomSelection) else 0,
+        "policy": r.policy.name,
+        "seed": r.policy.seed,
         "network": fingerprint(r.network),
     }
     tensors: dict[str, Tensor] = {}

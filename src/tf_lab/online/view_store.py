@@ -11,8 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from tf_lab.network.fusion.weights import weights_from_logits
-from tf_lab.online.selection import SelectionPolicy
+from tf_lab.online.selection import Candidates, SelectionPolicy, slots
 from tf_lab.online.table import Table
 
 
@@ -21,7 +20,7 @@ class ViewStore:
 
     Args:
         views: K.
-        heads: H; 0 if the policy needs no weights.
+        heads: H; 0 if the policy needs no logits.
         policy: decides what stays.
         device: where the store lives.
         logits: dtype in which they are kept.
@@ -82,24 +81,44 @@ class ViewStore:
         most = torch.finfo(dtype).max
         return logits.float().clamp(-most, most).to(dtype)
 
-    def add(self, frame: int, rows: Tensor, keys: Tensor, logits: Tensor | None) -> Tensor:
+    def add(
+        self,
+        frame: int,
+        rows: Tensor,
+        keys: Tensor,
+        logits: Tensor | None,
+        centers: Tensor | None = None,
+    ) -> Tensor:
         """Offer a new frame's measurements.
 
         Args:
             frame: its index.
             rows: int64 [M], the voxels it sees, each once.
             keys: int64 [M, 3], their lattice coordinates, the same at every call.
-            logits: [M, H]; None if the policy needs no weights.
+            logits: [M, H]; None if the policy needs none.
+            centers: [M, K + 1, 3], see `Candidates`; None if the policy needs none.
 
         Returns:
             The slot that each took, int64 [M]; -1 where it was not kept.
         """
-        weights = torch.zeros(1, self.views, device=rows.device).expand(len(rows), -1)
-        if self.policy.needs_weights:  # read where all slots are full, and only there
-            weights = weights_from_logits(self.logits[rows], None)
-        slot = self.policy.slots(weights, self.seen[rows].long(), keys)
+        slot = slots(self.policy, self.candidates(frame, rows, keys, logits, centers))
         self.put(frame, rows, slot, logits)
         return slot
+
+    def candidates(
+        self,
+        frame: int,
+        rows: Tensor,
+        keys: Tensor,
+        logits: Tensor | None,
+        centers: Tensor | None,
+    ) -> Candidates:
+        """What a policy chooses among; arguments as of `add`."""
+        new = torch.full_like(self.frames[rows, :1], frame)
+        frames = torch.cat([self.frames[rows], new], 1).long()
+        if logits is not None:
+            logits = torch.cat([self.logits[rows], self.rounded(logits)[:, None]], 1)
+        return Candidates(self.seen[rows].long(), keys, frames, logits, centers)
 
     def put(self, frame: int, rows: Tensor, slot: Tensor, logits: Tensor | None) -> None:
         """Write measurements [M] into slots [M] (-1: nowhere), and count them as seen."""

@@ -17,7 +17,7 @@ TRAINING_KEYS = (
     "chunks",
     "images",
     "views",
-    "ranked",
+    "rules",
     "points",
     "near_share",
     "coverage",
@@ -30,13 +30,21 @@ TRAINER_MEANS = ("accelerator", "strategy", "compile", "workers")
 DATA_PLACES = ("root", "scenes", "urls", "workers", "memory")
 DATA_AT_TEST = ("test", "test_size", "test_frames")
 DATA_AT_VALIDATION = ("val", "val_size")
+# of the policies of view selection: in the names of runs, and in the paper's rows
+SELECTIONS = {"attention": "attn", "random": "rnd"}
+SELECTION_LABELS = {"attention": "", "random": ", RND"}
 TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")
 
 
 def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a resolved config that shapes the weights."""
     identity = {key: config[key] for key in TRAINING_GROUPS}
-    identity["training"] = {key: config["training"][key] for key in TRAINING_KEYS}
+    if not config["inputs"].get("matching"):  # old trainings had no choice
+        identity["inputs"] = {k: v for k, v in config["inputs"].items() if k != "matching"}
+    training = config["training"]
+    if "rules" not in training:  # old trainings: a share of steps by attention, else the first
+        training = {**training, "rules": {"ranked": training["ranked"]}}
+    identity["training"] = {key: training[key] for key in TRAINING_KEYS}
     apart = {*DATA_PLACES, *DATA_AT_TEST, *DATA_AT_VALIDATION}
     identity["data"] = {k: v for k, v in config["data"].items() if k not in apart}
     identity["trainer"] = {k: v for k, v in config["trainer"].items() if k not in TRAINER_MEANS}
@@ -67,7 +75,7 @@ def training_directory(config: Mapping[str, Any]) -> Path:
 
 def run_directory(config: Mapping[str, Any]) -> Path:
     """Where the evaluation of a resolved config lies."""
-    select = "attn" if config["select"]["policy"] == "attention" else "rnd"
+    select = SELECTIONS.get(config["select"]["policy"], config["select"]["policy"])
     name = [config["model"]["name"], *_changes(config), f"views{config['views']}", select]
     key = key_of(training_identity(config), evaluation_identity(config))
     return Path(config["output"]) / "runs" / "-".join([*name, f"seed{config['seed']}", key])
@@ -92,9 +100,11 @@ def row_label(config: Mapping[str, Any]) -> str:
         parts.append("w/o projected depth")
     if not config["inputs"]["ray"]:
         parts.append("w/o view ray")
-    random = config["select"]["policy"] == "random"
-    if config["views"] != 16 or random:
-        parts.append(f"{config['views']} images" + (", RND" if random else ""))
+    if config["inputs"].get("matching"):
+        parts.append("+ matching")
+    policy = config["select"]["policy"]
+    if config["views"] != 16 or policy != "attention":
+        parts.append(f"{config['views']} images" + SELECTION_LABELS.get(policy, f", {policy}"))
     return "Ours" + (": " + ", ".join(parts) if parts else "")
 
 
@@ -105,6 +115,7 @@ def _changes(config: Mapping[str, Any]) -> list[str]:
         names.append(config["fusion"]["strategy"])
     names += [] if config["inputs"]["depth"] else ["no_depth"]
     names += [] if config["inputs"]["ray"] else ["no_ray"]
+    names += ["matching"] if config["inputs"].get("matching") else []
     names += [] if config["refine"] else ["no_refine"]
     names += [] if config["filter"] else ["no_filter"]
     return names

@@ -41,10 +41,10 @@ class Study:
 
     @cached_property
     def rows(self) -> list[str]:
-        """The rows that have runs: the paper's in its order, then any others, then ours."""
+        """The rows that have runs: the paper's in its order, then any others."""
         found = {row for row, _ in self.runs}
         others = sorted(found.difference(ABLATIONS, (OURS,)))
-        return [row for row in (*ABLATIONS, *others, OURS) if row in found]
+        return [row for row in (*ABLATIONS, OURS, *others) if row in found]
 
     @property
     def missing(self) -> list[str]:

@@ -27,10 +27,9 @@ INTERVAL = (
 
 
 def main_table(study: Study) -> Table:
-    """The paper's main table, with the rows that the paper does not have after its ablations."""
+    """The paper's main table, and after it the rows that the paper does not have."""
     others = [row for row in study.rows if row not in (*ABLATIONS, OURS)]
-    baselines, ablations, ours = MAIN.groups
-    return _beside_paper(study, "main", MAIN, [[*baselines], [*ablations, *others], [*ours]])
+    return _beside_paper(study, "main", MAIN, [*map(list, MAIN.groups), others])
 
 
 def inputs_table(study: Study) -> Table:

@@ -1,0 +1,88 @@
+"""Training keeps the views that the view store keeps online, whatever the policy."""
+
+import pytest
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from tf_lab.online.batch_selection import BatchSelection
+from tf_lab.online.selection import POLICIES, SelectionPolicy, make_policy
+from tf_lab.online.view_store import ViewStore
+
+P, V, H = 300, 14, 2
+
+
+def voxels(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Logits [P, V, H], which views are valid [P, V], and cameras beside the voxels [P, V, 3]."""
+    generator = torch.Generator().manual_seed(seed)
+    logits = torch.randn(P, V, H, generator=generator)
+    valid = torch.rand(P, V, generator=generator) < 0.7
+    valid[0], valid[1], valid[2] = False, True, torch.arange(V) == V - 1
+    return logits, valid, 2 * torch.randn(P, V, 3, generator=generator)
+
+
+def online(
+    policy: SelectionPolicy, views: int, logits: Tensor, valid: Tensor, centers: Tensor
+) -> Tensor:
+    """Frames int32 [P, K] that a view store holds after the views came one by one."""
+    store = ViewStore(views, H if policy.needs_logits else 0, policy, logits=torch.float32)
+    store.grow(P)
+    keys = torch.arange(P)[:, None].expand(P, 3)
+    for view in range(V):
+        rows = valid[:, view].nonzero().squeeze(1)
+        held = store.frames[rows].long()
+        shown = torch.cat([held.clamp(min=0), torch.full((len(rows), 1), view)], 1)
+        store.add(
+            view,
+            rows,
+            keys[rows],
+            logits[rows, view] if policy.needs_logits else None,
+            centers[rows[:, None], shown],
+        )
+    return store.frames
+
+
+@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("views", [1, 4, V, V + 3])
+def test_training_keeps_what_the_store_keeps(name: str, views: int) -> None:
+    policy = make_policy(name, 5)
+    logits, valid, centers = voxels()
+    given = logits if policy.needs_logits else None
+    kept, filled = BatchSelection(policy, views)(given, valid, centers)
+    expected = online(policy, views, logits, valid, centers)[:, : kept.shape[1]]
+    assert torch.equal(filled, expected >= 0)
+    assert torch.equal(kept[filled], expected[filled].long())
+    assert valid.gather(1, kept)[filled].all()
+    assert (filled.sum(1) == valid.sum(1).clamp(max=views)).all()
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_what_invalid_views_say_does_not_matter(name: str) -> None:
+    logits, valid, centers = voxels()
+    select = BatchSelection(make_policy(name, 1), 4)
+    kept, filled = select(logits, valid, centers)
+    rubbish = ~valid[..., None]
+    again, _ = select(
+        logits.masked_fill(rubbish, 1e4), valid, centers.masked_fill(rubbish, torch.nan)
+    )
+    assert torch.equal(again[filled], kept[filled])
+
+
+def test_random_views_differ_between_voxels_and_are_all_alike() -> None:
+    """Not the same few for all voxels: each is kept K / V of the time, whichever it is."""
+    valid = torch.ones(4000, V, dtype=torch.bool)
+    kept, _ = BatchSelection(make_policy("random", 3), 4)(None, valid, torch.zeros(4000, V, 3))
+    count = torch.bincount(kept.flatten(), minlength=V).double()
+    p = 4 / V
+    spread = 4000 * p * (1 - p) * V / (V - 1)
+    assert ((count - 4000 * p) ** 2 / spread).sum() < chi2.ppf(0.999, V - 1)
+    assert len(kept.sort(1).values.unique(dim=0)) > 900  # of 1001 subsets
+    other, _ = BatchSelection(make_policy("random", 4), 4)(None, valid, torch.zeros(4000, V, 3))
+    assert (other != kept).any(1).float().mean() > 0.9
+
+
+def test_without_logits_chance_decides() -> None:
+    _, valid, centers = voxels()
+    kept, filled = BatchSelection(make_policy("attention", 2), 4)(None, valid, centers)
+    expected, _ = BatchSelection(make_policy("random", 2), 4)(None, valid, centers)
+    assert torch.equal(kept[filled], expected[filled])
