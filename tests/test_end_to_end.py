@@ -10,10 +10,10 @@ from torch import Tensor
 from online.scenes import surface_of
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
+from tf_lab.data.embedded import ROOMS, EmbeddedSplit
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.rooms import RoomSettings
-from tf_lab.data.rooms.dataset import RoomSplit, prepare_rooms
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
@@ -25,8 +25,8 @@ from tf_lab.scoring import median_views
 @pytest.fixture(scope="module")
 def test_room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The first room of the test split, as the default renders it."""
-    split = {"test": RoomSplit(1, RoomSettings(frames=260))}
-    return Scene(prepare_rooms(tmp_path_factory.mktemp("rooms"), split, workers=1)["test"][0])
+    split = {"test": EmbeddedSplit(1, RoomSettings(frames=260))}
+    return Scene(ROOMS.prepare(tmp_path_factory.mktemp("rooms"), split, workers=1)["test"][0])
 
 
 def test_true_occupancy_gives_the_true_mesh(

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 
 from tf_lab.configuration import chunk_settings
-from tf_lab.data import groundtruth, rooms
+from tf_lab.data import groundtruth
 from tf_lab.data.captures import ImportSettings, find_captures, names_of, prepare_captures
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import ChunkSource
+from tf_lab.data.embedded import EMBEDDED, FIRST_SEED, EmbeddedSet, EmbeddedSplit
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.rooms import RoomSettings
-from tf_lab.data.rooms.dataset import FIRST_SEED, RoomSplit, prepare_rooms, room_directory
 from tf_lab.data.scannet_splits import find_scene, split_scenes
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardSource
@@ -35,24 +35,26 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
         TFLabError: the data set is unknown or cannot be prepared.
     """
     d = config["data"]
-    if not _is_rooms(config):
+    embedded = embedded_set(config)
+    if embedded is None:
         return _prepare_captures(config, splits)
     size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
     frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
     wanted = {
-        s: RoomSplit(size[s], RoomSettings(d["width"], d["height"], frames[s])) for s in splits
+        s: EmbeddedSplit(size[s], RoomSettings(d["width"], d["height"], frames[s])) for s in splits
     }
-    return prepare_rooms(Path(d["root"]).expanduser(), wanted, d["workers"])
+    return embedded.prepare(Path(d["root"]).expanduser(), wanted, d["workers"])
 
 
 def scene_directory(config: Config, name: str) -> Path:
     """Where a test scene of a resolved config lies, if it has been made on this machine."""
     d = config["data"]
-    if d["name"] != "rooms":
+    embedded = EMBEDDED.get(d["name"])
+    if embedded is None:
         return scenes_root(config) / scene_settings(config).key / name
-    index = int(name.removeprefix("room_")) - FIRST_SEED["test"]
+    index = int(name.rpartition("_")[2]) - FIRST_SEED["test"]
     settings = RoomSettings(d["width"], d["height"], d["test_frames"])
-    return room_directory(Path(d["root"]).expanduser(), "test", index, settings)
+    return embedded.directory(Path(d["root"]).expanduser(), "test", index, settings)
 
 
 def has_scenes(config: Config, split: str) -> bool:
@@ -61,20 +63,26 @@ def has_scenes(config: Config, split: str) -> bool:
     Raises:
         TFLabError: those asked for are not there.
     """
-    if _is_rooms(config):
+    if embedded_set(config):
         return config["data"][f"{split}_size"] > 0
     return bool(capture_sources(config, (split,))[split])
 
 
-def _is_rooms(config: Config) -> bool:
-    """Whether it is the rooms' config; else it is one of captures."""
+def embedded_set(config: Config) -> EmbeddedSet | None:
+    """The embedded data set that a config is of; None: it is one of captures.
+
+    Raises:
+        TFLabError: it is neither.
+    """
     d = config["data"]
-    captures = d["name"] in ("scannet", "captures") and "scenes" in d
-    if not captures and d["name"] != "rooms":
-        raise TFLabError(
-            f"data.name={d['name']}: choose the data by data=rooms, data=scannet or data=captures"
-        )
-    return not captures
+    if d["name"] in EMBEDDED:
+        return EMBEDDED[d["name"]]
+    if d["name"] in ("scannet", "captures") and "scenes" in d:
+        return None
+    choices = ", ".join(f"data={name}" for name in EMBEDDED)
+    raise TFLabError(
+        f"data.name={d['name']}: choose the data by {choices}, data=scannet or data=captures"
+    )
 
 
 def training_chunks(config: Config) -> ChunkSource:
@@ -106,8 +114,8 @@ def identified(config: Config) -> Config:
     """
     data, trainer = dict(config["data"]), dict(config["trainer"])
     data["version"] = {"groundtruth": groundtruth.VERSION}
-    if data["name"] == "rooms":
-        data["version"]["rooms"] = rooms.VERSION
+    if data["name"] in EMBEDDED:
+        data["version"][data["name"]] = EMBEDDED[data["name"]].version
     if data.get("urls"):
         data["identity"] = open_shards(data["urls"]).identity
     if trainer["devices"] in ("auto", -1, "-1"):

@@ -16,8 +16,10 @@ from tf_lab.commands import command, plain
 from tf_lab.data.captures import prepare_captures, summarise
 from tf_lab.data.scene import Scene
 from tf_lab.data.shards import write_shards
+from tf_lab.data.visibility import scene_visibility
 from tf_lab.datasets import (
     capture_sources,
+    embedded_set,
     prepare_data,
     scene_settings,
     scenes_root,
@@ -34,7 +36,7 @@ from tf_lab.provenance import provenance
 def main(cfg: DictConfig) -> None:
     """Prepare the splits, say what was skipped and why."""
     config = plain(cfg)
-    failed = _prepare_rooms(config) if config["data"]["name"] == "rooms" else _prepare(config)
+    failed = _prepare_embedded(config) if embedded_set(config) else _prepare(config)
     if config["shards"]:
         _write_shards(config)
     if failed:
@@ -44,14 +46,31 @@ def main(cfg: DictConfig) -> None:
         )
 
 
-def _prepare_rooms(config: dict[str, Any]) -> int:
-    """Rooms, of which none can fail."""
+def _prepare_embedded(config: dict[str, Any]) -> int:
+    """Scenes of our own, of which none can fail."""
     for split, scenes in prepare_data(config, tuple(config["splits"])).items():
         if scenes:
-            print(f"{split}: {len(scenes)} rooms in {scenes[0].parent}")
+            print(f"{split}: {len(scenes)} {config['data']['name']} in {scenes[0].parent}")
+            if split != "train":
+                _tell_visibility([Scene(s) for s in scenes])
             if config["pictures"]:
                 _draw({s.name: s for s in scenes}, scenes[0].parent.parent / "pictures")
     return 0
+
+
+def _tell_visibility(scenes: list[Scene]) -> None:
+    """Whether choosing views can matter in them."""
+    with progress_bar() as bar:
+        found = [
+            scene_visibility(scene) for scene in bar.track(scenes, description="counting views")
+        ]
+    for scene, views in zip(scenes, found, strict=True):
+        print(
+            f"  {scene.name}: {len(scene)} frames, median point seen by {views.median:.0f} "
+            f"keyframes, {views.share:.0%} of those whose frustum holds a point"
+        )
+    median, share = (float(np.mean([getattr(v, k) for v in found])) for k in ("median", "share"))
+    print(f"  mean of {len(found)}: seen by {median:.0f} keyframes, {share:.0%} of candidates")
 
 
 def _prepare(config: dict[str, Any]) -> int:

@@ -91,7 +91,7 @@ def reconstruct(
 
 def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> float:
     """By how many keyframes the median surface point is seen, occlusion considered."""
-    from tf_lab.data.groundtruth import views_per_point
+    from tf_lab.data.visibility import views_per_point
     from tf_lab.meshes import read_mesh
 
     mesh = read_mesh(groundtruth / "mesh_gt.ply")

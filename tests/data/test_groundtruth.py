@@ -18,10 +18,9 @@ from tf_lab.data.groundtruth import (
     fuse_capture,
     signed_distance,
     surface_distance,
-    views_per_point,
     write_groundtruth,
 )
-from tf_lab.data.scene import Frame, Scene, write_scene
+from tf_lab.data.scene import Frame, write_scene
 from tf_lab.data.tsdf import TSDF
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
@@ -259,34 +258,6 @@ def test_damaged_files(files: Path, tmp_path: Path, name: str, damage: str) -> N
         path.write_bytes(content[: len(content) // 2] if damage == "truncated" else b"")
     with pytest.raises(TFLabError, match=r"groundtruth: the ground truth is damaged.*prepare it"):
         GroundTruth(copy)
-
-
-def test_views_per_point_by_brute_force(box_scene: Path, mesh: trimesh.Trimesh) -> None:
-    """Ray by ray: a frame sees a vertex if the room's analytic depth along its ray is as far."""
-    scene, frames = Scene(box_scene), [2, 5, 6, 13]
-    part = trimesh.Trimesh(np.asarray(mesh.vertices)[::211], process=False)
-    counts = views_per_point(scene, frames, part)
-    assert counts.shape == (len(part.vertices),)
-    K = box_room.intrinsics()
-    least, most = np.zeros(len(counts), int), np.zeros(len(counts), int)
-    for frame in frames:
-        pose = scene.world_T_cam[frame]
-        for i, vertex in enumerate(np.asarray(part.vertices)):
-            x, y, z = pose[:3, :3].T @ (vertex - pose[:3, 3])
-            u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
-            if z < 0.05 or not (-0.45 < u < 79.45 and -0.45 < v < 59.45):
-                most[i] += z > 0.05 and -0.55 < u < 79.55 and -0.55 < v < 59.55
-                continue
-            # the depth of a one-pixel image that looks along the vertex' own ray
-            ray = np.array([[K[0, 0], 0, -(u - K[0, 2])], [0, K[1, 1], -(v - K[1, 2])], [0, 0, 1]])
-            first = float(box_room.depth_image(pose, ray, (1, 1))[0, 0])
-            pixel = 1.5 * z / K[0, 0]  # readings are of pixel centres, up to grazing angles
-            least[i] += abs(first - z) < 0.05 - pixel
-            most[i] += abs(first - z) < 0.05 + 4 * pixel
-    assert (least <= counts).mean() > 0.97
-    assert (counts <= most).mean() > 0.99
-    assert least.max() >= 2
-    assert (most == 0).any()
 
 
 def test_captures_that_give_no_ground_truth(tmp_path: Path) -> None:

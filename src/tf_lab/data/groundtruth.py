@@ -29,7 +29,7 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.chunk_weights import Structure, chunk_candidates
 from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse_in_slabs, join, slabs
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import COARSE, VoxelGrid, in_view, invert_pose, project
+from tf_lab.geometry import COARSE, VoxelGrid
 
 VERSION = 3  # changes whenever the output for the same depth does
 MAX_DISTANCE = 0.4  # metres, largest value in distance.npy
@@ -111,7 +111,12 @@ def signed_distance(tsdf: TSDF) -> Tensor:
 
 def surface_distance(mesh: trimesh.Trimesh, grid: VoxelGrid) -> Tensor:
     """Distance [X, Y, Z] in metres from voxel centres to the nearest mesh vertex, capped."""
-    return _surface_distance(cKDTree(np.asarray(mesh.vertices)), grid)
+    return _surface_distance(_tree(mesh), grid)
+
+
+def _tree(mesh: trimesh.Trimesh) -> cKDTree:
+    """Of the vertices; not balanced: voxels, which are evenly spread, are twice as fast so."""
+    return cKDTree(np.asarray(mesh.vertices), balanced_tree=False, compact_nodes=False)
 
 
 def _surface_distance(vertices: cKDTree, grid: VoxelGrid) -> Tensor:
@@ -161,7 +166,7 @@ def write_groundtruth(
         raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
     surface.export(directory / "mesh_gt.ply")
     np.savetxt(directory / "world2grid.txt", torch.linalg.inv(grid.world_T_index).numpy())
-    tree = cKDTree(np.asarray(surface.vertices))
+    tree = _tree(surface)
     with _volume(directory / "distance.npy", grid, np.float16) as distance:
         for first, last in slabs(grid, memory):
             part = grid.block((first, 0, 0), (last, *grid.shape[1:]))
@@ -177,29 +182,6 @@ def _volume(path: Path, grid: VoxelGrid, dtype: type) -> Iterator[Callable[[Tens
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
         yield lambda rows: rows.numpy().astype(dtype).tofile(file)
-
-
-def views_per_point(
-    capture: Capture, frames: list[int], mesh: trimesh.Trimesh, tolerance: float = 0.05
-) -> np.ndarray:
-    """How many of the frames see each mesh vertex, told by their depth: int64 [V].
-
-    Args:
-        capture: with depth.
-        frames: indices of the frames to count.
-        mesh: metres.
-        tolerance: largest difference (metres) between the reading and the vertex' depth.
-    """
-    vertices = torch.from_numpy(np.asarray(mesh.vertices)).float()
-    counts = torch.zeros(len(vertices), dtype=torch.int64)
-    for i, depth in zip(frames, DepthMaps(capture, frames), strict=True):
-        pose = torch.from_numpy(capture.world_T_cam[i]).float()
-        uv, z = project(vertices, torch.from_numpy(capture.K[i]).float(), invert_pose(pose))
-        size = (depth.shape[1], depth.shape[0])
-        seen = in_view(uv, z, size, 0.05, MAX_READING).nonzero().squeeze(1)
-        u, v = uv[seen].round().long().unbind(-1)
-        counts[seen] += ((depth[v, u] - z[seen]).abs() < tolerance).long()
-    return counts.numpy()
 
 
 class GroundTruth:

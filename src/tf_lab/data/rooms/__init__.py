@@ -26,7 +26,14 @@ FIELD_OF_VIEW = np.radians(58.0)  # horizontal, about ScanNet's
 
 @dataclass(frozen=True)
 class RoomSettings:
-    """How a room is filmed: image size (pixels), frames, samples**2 rays for a pixel on an edge."""
+    """How rooms are filmed.
+
+    Attributes:
+        width: pixels.
+        height: pixels.
+        frames: of each room; of a flat, so many for each of its rooms.
+        samples: samples**2 rays for a pixel on an edge.
+    """
 
     width: int = 160
     height: int = 120
@@ -48,7 +55,7 @@ class Room:
 def make_room(seed: int) -> Room:
     """The room of a seed."""
     rng = np.random.default_rng([seed, 0])
-    palette, textures = make_materials(rng)
+    (palette,), textures = make_materials(rng)
     kit = Kit(Surfaces(rng), palette, rng)
     plan = make_plan(rng)
     build_shell(kit.s, plan, palette, rng)
@@ -75,11 +82,12 @@ def generate_room(seed: int, settings: RoomSettings) -> Iterator[Frame]:
     room = make_room(seed)
     K = intrinsics(settings)
     size = settings.width, settings.height
-    renderer = Renderer(room.geometry, room.textures, room.lighting, K, size, settings.samples)
+    renderer = Renderer(room.geometry, room.textures, [room.lighting], K, size, settings.samples)
     rng = np.random.default_rng([seed, 1])
     space = FreeSpace(room.plan, room.placed)
     targets = room.geometry.sample(600, rng)
-    poses = make_walk(space, renderer.scene, targets, settings.frames, rng)
+    trail, filmed = make_walk(space, renderer.scene, targets, settings.frames, rng)
+    poses = trail[filmed]
     for number, pose in enumerate(poses):
         image, depth = renderer.film(pose, poses[max(number - 1, 0)], rng)
         yield Frame(f"{number:06d}", image, K, pose, depth)

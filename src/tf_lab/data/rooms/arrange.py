@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from tf_lab.data.rooms.layout import Plan, Wall
 
 Rng = np.random.Generator
 Maker = Callable[[Rng], Piece]
+ENTRY = 0.45  # metres before a passage, where one must be able to stand
 
 THEMES: dict[str, tuple[Maker, ...]] = {
     "living room": (f.sofa, st.television, st.shelf, st.sideboard, f.plant, f.sofa, f.floor_lamp),
@@ -41,8 +42,15 @@ class Arranger:
             _corners(wall.a, wall.yaw, o.start - 0.05, 0.0, o.end - o.start + 0.1, 0.8)
             for wall in plan.walls
             for o in wall.openings
-            if o.kind == "door"
+            if o.kind in ("door", "passage")
         ]
+        entries = [
+            _point(wall.a, wall.yaw, (o.start + o.end) / 2, ENTRY)
+            for wall in plan.walls
+            for o in wall.openings
+            if o.kind == "passage"
+        ]
+        self._entries = np.array(entries).reshape(-1, 2)
         self._has_rug = False
         floor = FreeSpace(plan, []).walkable(0.4).sum()
         self._least = max(0.28 * floor, 360)
@@ -57,7 +65,9 @@ class Arranger:
         if any(overlap(corners, door, 0.0) for door in self._doorways):
             return False
         placed = Placed(piece.name, corners, piece.height)
-        if FreeSpace(self._plan, [*self.placed, placed]).walkable(0.4).sum() < self._least:
+        space = FreeSpace(self._plan, [*self.placed, placed])
+        walkable = space.walkable(0.4)
+        if walkable.sum() < self._least or not space.holds(walkable, self._entries):
             return False
         with self._kit.s.at((*origin, 0), yaw):
             piece.build(self._kit)
@@ -206,12 +216,22 @@ class Arranger:
                         )
 
 
-def furnish(kit: Kit, plan: Plan) -> list[Placed]:
-    """Furnish a room after a random theme; returns what stands on the floor."""
+def furnish(
+    kit: Kit, plan: Plan, theme: Sequence[Maker] | None = None, dividers: Sequence[Piece] = ()
+) -> list[Placed]:
+    """Furnish a room; returns what stands on the floor.
+
+    Args:
+        kit: what to build with.
+        plan: the room.
+        theme: what to place; None: one of `THEMES` at random.
+        dividers: pieces that go first, and far into the room.
+    """
     rng = kit.rng
     arranger = Arranger(kit, plan)
-    theme = THEMES[str(rng.choice(list(THEMES)))]
-    for maker in theme:
+    for piece in dividers:
+        arranger.at_wall(piece)
+    for maker in theme or THEMES[str(rng.choice(list(THEMES)))]:
         arranger.group(maker(rng))
     for _ in range(14):
         if len(arranger.placed) >= 9:

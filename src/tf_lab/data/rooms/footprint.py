@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
 
-from tf_lab.data.rooms.layout import Plan
+from tf_lab.data.rooms.layout import Plan, Rect
 
 CELL = 0.05
 LOW = 0.6
 """A camera may come nearer, by `REACH`, to pieces lower than this (m): it is held above them."""
 REACH = 0.1
+EASE = 0.15
+"""A camera may come nearer, by this (m), to the two sides of a passage."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,16 @@ class Placed:
         cross = edges[:, 0] * offset[..., 1] - edges[:, 1] * offset[..., 0]
         return np.all(cross >= 0, axis=-1)
 
+    def nearest(self, points: np.ndarray, inset: float) -> np.ndarray:
+        """The points [N, 2] of the footprint, ``inset`` (m) from its edges, nearest to points."""
+        origin, found = self.corners[0], np.zeros_like(points)
+        for edge in (self.corners[1] - origin, self.corners[3] - origin):
+            length = float(np.linalg.norm(edge))
+            room = min(inset, length / 2)
+            along = np.clip((points - origin) @ (edge / length), room, length - room)
+            found += along[:, None] * (edge / length)
+        return origin + found
+
 
 def overlap(a: np.ndarray, b: np.ndarray, margin: float) -> bool:
     """Whether two rectangles [4, 2] come closer than ``margin`` (m; separating axes)."""
@@ -43,9 +56,15 @@ def overlap(a: np.ndarray, b: np.ndarray, margin: float) -> bool:
 
 
 class FreeSpace:
-    """A grid of the floor with the camera's clearance (m) from walls and furniture."""
+    """A grid of the floor with the camera's clearance (m) from walls and furniture.
 
-    def __init__(self, plan: Plan, placed: list[Placed]) -> None:
+    Args:
+        plan: the floor.
+        placed: what stands on it.
+        passages: where on the floor it leads through walls.
+    """
+
+    def __init__(self, plan: Plan, placed: Sequence[Placed], passages: Sequence[Rect] = ()) -> None:
         rects = np.array(plan.rects)
         self.low = rects[:, :2].min(axis=0) - 0.1
         shape = np.ceil((rects[:, 2:].max(axis=0) + 0.1 - self.low) / CELL).astype(int)
@@ -62,6 +81,9 @@ class FreeSpace:
         if low.any():
             beside = distance_transform_edt(~low) * CELL
             self.clearance = np.minimum(self.clearance, np.where(low, 0, beside + REACH))
+        for x0, y0, x1, y1 in passages:
+            near = ((points >= [x0 - 0.1, y0 - 0.1]) & (points <= [x1 + 0.1, y1 + 0.1])).all(-1)
+            self.clearance = self.clearance + EASE * (near & free)
         self._gradient = np.stack(np.gradient(self.clearance), axis=-1)
 
     def _index(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,6 +99,14 @@ class FreeSpace:
         """Unit directions [..., 2] in which the clearance grows."""
         slope = self._gradient[self._index(xy)]
         return slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
+
+    def centres(self, mask: np.ndarray) -> np.ndarray:
+        """The middles [N, 2] (m) of the cells of a mask."""
+        return self.low + (np.argwhere(mask) + 0.5) * CELL
+
+    def holds(self, mask: np.ndarray, xy: np.ndarray) -> bool:
+        """Whether points [P, 2] all lie in a mask of the grid."""
+        return bool(mask[self._index(xy)].all())
 
     def walkable(self, margin: float) -> np.ndarray:
         """The largest connected part with more than that clearance: bool like `clearance`."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +19,11 @@ Rect = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Opening:
-    """A recess in a wall: ``kind`` door, window or niche; extent along and up the wall (m)."""
+    """An opening of a wall; extent along and up the wall (m).
+
+    ``kind`` door (closed), window and niche are recesses; a passage leads to the next room: each of
+    the two rooms has one, half as deep as the wall between them.
+    """
 
     kind: str
     start: float
@@ -77,24 +82,28 @@ def make_plan(rng: Rng) -> Plan:
         rects = ((0.0, 0.0, width, float(cut[1])), (0.0, 0.0, float(cut[0]), depth))
     turned = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
     walls = [Wall(a, b, ()) for a, b in turned]
-    return Plan(rects, tuple(_cut_openings(rng, walls, height)), height)
-
-
-def _cut_openings(rng: Rng, walls: list[Wall], height: float) -> list[Wall]:
     kinds = ["door", "window", "window", "niche", "door"]
     kinds = kinds[: int(rng.integers(3, 6))]
-    found: dict[int, list[Opening]] = {i: [] for i in range(len(walls))}
+    return Plan(rects, cut_openings(rng, walls, height, kinds, range(len(walls))), height)
+
+
+def cut_openings(
+    rng: Rng, walls: Sequence[Wall], height: float, kinds: Sequence[str], where: Sequence[int]
+) -> tuple[Wall, ...]:
+    """The walls; those of number ``where`` get openings of these kinds that find room."""
+    found = [list(wall.openings) for wall in walls]
     for kind in kinds:
         for _ in range(12):
-            i = int(rng.integers(len(walls)))
+            i = where[int(rng.integers(len(where)))]
             opening = _opening(rng, kind, walls[i].length, height)
             gaps = [o.start - opening.end > 0.3 or opening.start - o.end > 0.3 for o in found[i]]
             if opening.start > 0.35 and all(gaps):
                 found[i].append(opening)
                 break
-    return [
-        Wall(w.a, w.b, tuple(sorted(found[i], key=lambda o: o.start))) for i, w in enumerate(walls)
-    ]
+    return tuple(
+        replace(wall, openings=tuple(sorted(openings, key=lambda o: o.start)))
+        for wall, openings in zip(walls, found, strict=True)
+    )
 
 
 def _opening(rng: Rng, kind: str, length: float, height: float) -> Opening:
@@ -186,6 +195,9 @@ def _fill(s: Surfaces, o: Opening, palette: Palette, rng: Rng, tint: np.ndarray)
         centre = np.array([(x0 + x1) / 2, d / 2, (z0 + z1) / 2])
         inward = normal @ (centre - corners[0]) > 0
         s.polygon(corners if inward else corners[::-1], painted)
+    if o.kind == "passage":
+        _casing(s, o, painted, tint)
+        return
     back = "accent" if o.kind == "niche" else "outside" if o.kind == "window" else "painted"
     corners = np.array([[x1, d, z0], [x0, d, z0], [x0, d, z1], [x1, d, z1]])
     glow = rng.uniform(0.4, 1.0) if o.kind == "window" else 0.0
@@ -221,6 +233,12 @@ def _door(s: Surfaces, o: Opening, palette: Palette, rng: Rng, tint: np.ndarray)
     metal, knob = palette.index["painted"][0], x1 - 0.09
     s.box((knob - 0.1, d + 0.075, 1.0), (knob + 0.02, d + 0.1, 1.03), metal, (0.35, 0.33, 0.3))
     s.box((knob - 0.01, d + 0.05, 1.0), (knob + 0.02, d + 0.075, 1.03), metal, (0.35, 0.33, 0.3))
-    s.box((x0 - 0.07, 0, 0), (x0, 0.02, high), metal, tint, skip="y- z-")
-    s.box((x1, 0, 0), (x1 + 0.07, 0.02, high), metal, tint, skip="y- z-")
-    s.box((x0 - 0.07, 0, high), (x1 + 0.07, 0.02, high + 0.07), metal, tint, skip="y-")
+    _casing(s, o, metal, tint)
+
+
+def _casing(s: Surfaces, o: Opening, material: int, tint: np.ndarray) -> None:
+    """The frame around a door or passage."""
+    x0, x1, high = o.start, o.end, o.high
+    s.box((x0 - 0.07, 0, 0), (x0, 0.02, high), material, tint, skip="y- z-")
+    s.box((x1, 0, 0), (x1 + 0.07, 0.02, high), material, tint, skip="y- z-")
+    s.box((x0 - 0.07, 0, high), (x1 + 0.07, 0.02, high + 0.07), material, tint, skip="y-")

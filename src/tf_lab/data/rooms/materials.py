@@ -14,6 +14,9 @@ import numpy as np
 from tf_lab.data.rooms import textures as tx
 from tf_lab.data.rooms.textures import SIZE, Rng, Texture
 
+Maker = Callable[[Rng], Texture]
+Role = tuple[str, Maker]
+
 WALLS = (
     tx.plaster,
     tx.plaster,
@@ -77,18 +80,14 @@ class Textures:
         return top * (1 - fy) + low * fy
 
 
-def make_materials(rng: Rng) -> tuple[Palette, Textures]:
-    """The materials of one room."""
-    chosen = rng.choice(len(WALLS), 2, replace=False)
-    walls: list[Callable[[Rng], Texture]] = [WALLS[i] for i in chosen]
-    if rng.random() < 0.6:  # most rooms have plain walls with one accent
-        walls[0] = tx.plaster
-    strength = rng.uniform(0.07, 0.16)
-    roles: list[tuple[str, Callable[[Rng], Texture]]] = [
-        ("wall", lambda r: tx.plaster(r, strength) if walls[0] is tx.plaster else walls[0](r)),
-        ("accent", walls[1]),
+def make_materials(rng: Rng, rooms: int = 1) -> tuple[list[Palette], Textures]:
+    """The materials of rooms: each has its own walls and floor, the others they share."""
+    surround = _surround(rng)
+    roles: list[Role] = [
+        ("wall", surround["wall"]),
+        ("accent", surround["accent"]),
         ("ceiling", lambda r: tx.plaster(r, 0.07)),
-        ("floor", FLOORS[rng.integers(len(FLOORS))]),
+        ("floor", surround["floor"]),
         ("wood", tx.wood),
         ("wood", tx.wood),
         ("fabric", tx.fabric),
@@ -107,4 +106,25 @@ def make_materials(rng: Rng) -> tuple[Palette, Textures]:
     for number, (role, maker) in enumerate(roles):
         index.setdefault(role, []).append(number)
         made.append(maker(rng))
-    return Palette(index), Textures([image for image, _ in made], [t for _, t in made])
+    palettes = [Palette(index)]
+    for _ in range(1, rooms):
+        own = {}
+        for role, maker in _surround(rng).items():
+            own[role] = [len(made)]
+            made.append(maker(rng))
+        palettes.append(Palette({**index, **own}))
+    return palettes, Textures([image for image, _ in made], [t for _, t in made])
+
+
+def _surround(rng: Rng) -> dict[str, Maker]:
+    """What makes the walls and the floor of a room."""
+    chosen = rng.choice(len(WALLS), 2, replace=False)
+    walls: list[Maker] = [WALLS[i] for i in chosen]
+    if rng.random() < 0.6:  # most rooms have plain walls with one accent
+        walls[0] = tx.plaster
+    strength = rng.uniform(0.07, 0.16)
+    return {
+        "wall": lambda r: tx.plaster(r, strength) if walls[0] is tx.plaster else walls[0](r),
+        "accent": walls[1],
+        "floor": FLOORS[rng.integers(len(FLOORS))],
+    }

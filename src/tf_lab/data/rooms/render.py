@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,13 +29,28 @@ class Lighting:
     exposure: float
 
 
+@dataclass(frozen=True)
+class Hits:
+    """Where rays end: faces [N] (-1: nowhere), camera z [N] and world points [N, 3]; metres.
+
+    ``origin`` is where they start: one [3] for all, or [N, 3].
+    """
+
+    face: np.ndarray
+    depth: np.ndarray
+    point: np.ndarray
+    origin: np.ndarray
+
+
 class Renderer:
-    """Casts rays into one room.
+    """Casts rays into rooms.
+
+    A camera is a pose [4, 4], or the poses [H, 4, 4] at which the rows of the image are exposed.
 
     Args:
-        geometry: the room's triangles.
-        textures: its materials.
-        lighting: its lights.
+        geometry: the rooms' triangles.
+        textures: their materials.
+        lighting: each room's lights.
         K: [3, 3] intrinsics; pixel centres at integers.
         size: (width, height).
         samples: samples * samples rays for a pixel on an edge.
@@ -44,12 +60,12 @@ class Renderer:
         self,
         geometry: RoomGeometry,
         textures: Textures,
-        lighting: Lighting,
+        lighting: Sequence[Lighting],
         K: np.ndarray,
         size: tuple[int, int],
         samples: int,
     ) -> None:
-        self._geometry, self._textures, self._light = geometry, textures, lighting
+        self._geometry, self._textures, self._lights = geometry, textures, lighting
         self.scene = EmbreeScene()
         corners = geometry.vertices[geometry.faces]
         self._mesh = TriangleMesh(self.scene, corners.astype(np.float32))
@@ -61,33 +77,50 @@ class Renderer:
         grid = (np.arange(samples) + 0.5) / samples - 0.5
         self._jitter = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
 
-    def _cast(self, pose: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Faces [N] (-1: none), camera depths [N] and world points [N, 3] seen at pixels [N, 2]."""
-        camera = np.column_stack([pixels, np.ones(len(pixels))]) @ self._unproject
-        direction = camera @ pose[:3, :3].T
-        origin = np.broadcast_to(pose[:3, 3].astype(np.float32), direction.shape)
-        face = self.scene.run(np.ascontiguousarray(origin), direction.astype(np.float32))
+    def _cast(self, camera: np.ndarray, pixels: np.ndarray) -> Hits:
+        """What is seen at pixels [N, 2]."""
+        ray = np.column_stack([pixels, np.ones(len(pixels))]) @ self._unproject
+        if camera.ndim == 2:
+            origin, direction = camera[:3, 3], ray @ camera[:3, :3].T
+        else:
+            row = pixels[:, 1].round().astype(int)
+            origin = camera[row, :3, 3]
+            direction = np.einsum("nij,nj->ni", camera[row, :3, :3], ray)
+        start = np.broadcast_to(origin.astype(np.float32), direction.shape)
+        face = self.scene.run(np.ascontiguousarray(start), direction.astype(np.float32))
         normal = self._geometry.normals[face]
         # the exact plane, not embree's float32 distance
         slope = np.einsum("ni,ni->n", normal, direction)
-        depth = (self._plane[face] - normal @ pose[:3, 3]) / slope
-        return face, depth, pose[:3, 3] + depth[:, None] * direction
+        offset = normal @ origin if origin.ndim == 1 else np.einsum("ni,ni->n", normal, origin)
+        depth = (self._plane[face] - offset) / slope
+        return Hits(face, depth, origin + depth[:, None] * direction, origin)
 
-    def _shade(
-        self, pose: np.ndarray, face: np.ndarray, depth: np.ndarray, point: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _shade(self, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
         """Linear colours [N, 3] of hits, and which shadows fall on them [N]."""
-        g, light = self._geometry, self._light
+        g, face, depth, point = self._geometry, hits.face, hits.depth, hits.point
         normal = g.normals[face]
-        view = pose[:3, 3] - point
+        view = hits.origin - point
         view /= np.linalg.norm(view, axis=1, keepdims=True)
         cosine = np.abs(np.einsum("ni,ni->n", view, normal))
         frame = g.uv[face]
         uv = np.einsum("nij,nj->ni", frame[:, :, :3], point) + frame[:, :, 3]
         footprint = depth / self._focal / np.sqrt(np.maximum(cosine, 0.1))
         albedo = self._textures.lookup(g.material[face], uv, footprint) * g.tint[face]
+        irradiance, lit = np.empty((len(face), 3)), np.empty(len(face), np.int32)
+        rooms = g.room[face]
+        for room in np.unique(rooms):
+            here = rooms == room
+            irradiance[here], lit[here] = self._irradiance(
+                self._lights[room], point[here], normal[here]
+            )
+        return albedo * (irradiance + g.glow[face][:, None]), lit
+
+    def _irradiance(
+        self, light: Lighting, point: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Light [N, 3] that falls on points of a room, and which of its lights reach them [N]."""
         irradiance = light.ambient * (1 + 0.25 * normal[:, 2:])
-        lit = np.zeros(len(face), np.int32)
+        lit = np.zeros(len(point), np.int32)
         start = (point + 0.004 * normal).astype(np.float32)
         for number, (position, colour) in enumerate(
             zip(light.positions, light.colours, strict=True)
@@ -103,21 +136,28 @@ class Renderer:
                 gain = gain * reached[:, None]
                 lit += reached * (number + 1)
             irradiance = irradiance + gain * colour
-        return albedo * (irradiance + g.glow[face][:, None]), lit
+        return irradiance, lit
 
-    def render(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Linear colour [H, W, 3] and depth float32 [H, W] (camera z of the pixel's centre, m)."""
+    def depth(self, camera: np.ndarray) -> np.ndarray:
+        """Depth float32 [H, W]: camera z (m) of what the pixels' centres see; 0: nothing."""
+        return self._depth(self._cast(camera, self._pixels))
+
+    def _depth(self, hits: Hits) -> np.ndarray:
+        depth = np.where(hits.face >= 0, hits.depth, 0).astype(np.float32)
+        return depth.reshape(self._size[::-1])
+
+    def render(self, camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Linear colour [H, W, 3] and depth float32 [H, W] (see `depth`)."""
         width, height = self._size
-        face, depth, point = self._cast(pose, self._pixels)
-        colour, lit = self._shade(pose, face, depth, point)
-        flat = (4 * self._geometry.flat[face] + lit).reshape(height, width)
+        hits = self._cast(camera, self._pixels)
+        colour, lit = self._shade(hits)
+        flat = (4 * self._geometry.flat[hits.face] + lit).reshape(height, width)
         edge = (maximum_filter(flat, 3) != minimum_filter(flat, 3)).ravel()
         if len(self._jitter) > 1 and edge.any():
             finer = (self._pixels[edge][:, None] + self._jitter).reshape(-1, 2)
-            some, _ = self._shade(pose, *self._cast(pose, finer))
+            some, _ = self._shade(self._cast(camera, finer))
             colour[edge] = some.reshape(-1, len(self._jitter), 3).mean(axis=1)
-        depth = np.where(face >= 0, depth, 0).astype(np.float32)
-        return colour.reshape(height, width, 3), depth.reshape(height, width)
+        return colour.reshape(height, width, 3), self._depth(hits)
 
     def film(self, pose: np.ndarray, before: np.ndarray, rng: Rng) -> tuple[np.ndarray, np.ndarray]:
         """A photograph uint8 [H, W, 3] and its depth [H, W] (m); some are blurred by motion.
@@ -131,7 +171,7 @@ class Renderer:
         if rng.random() < BLURRED:
             around = [self.render(p)[0] for p in _moving(before, pose, rng.uniform(0.05, 0.15))]
             linear = (linear + sum(around)) / (1 + len(around))
-        return develop(linear, self._light.exposure * rng.uniform(0.95, 1.05), rng), depth
+        return develop(linear, self._lights[0].exposure * rng.uniform(0.95, 1.05), rng), depth
 
 
 def _moving(before: np.ndarray, pose: np.ndarray, share: float) -> list[np.ndarray]:
@@ -173,8 +213,11 @@ def make_lighting(plan: Plan, rng: Rng) -> Lighting:
     return replace(light, exposure=rng.uniform(0.7, 1.15) / typical * 0.75)
 
 
-def develop(linear: np.ndarray, exposure: float, rng: Rng) -> np.ndarray:
-    """A sensor: vignette, shot and read noise, gamma; linear [H, W, 3] to uint8."""
+def develop(linear: np.ndarray, exposure: float | np.ndarray, rng: Rng) -> np.ndarray:
+    """A sensor: vignette, shot and read noise, gamma; linear [H, W, 3] to uint8.
+
+    ``exposure`` is one gain, or one a channel [3].
+    """
     height, width = linear.shape[:2]
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     image = linear * exposure * (1 - 0.12 * (x**2 + y**2) / 2)[..., None]

@@ -6,6 +6,7 @@ size on any face and nothing has to be unwrapped.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ class RoomGeometry:
         tint: float32 [F, 3], multiplies the material's colour.
         glow: float32 [F], emitted light (0: none).
         uv: float64 [F, 2, 4], maps (x, y, z, 1) to metres on the face.
+        room: int32 [F], the room that a triangle belongs to.
     """
 
     vertices: np.ndarray
@@ -42,6 +44,7 @@ class RoomGeometry:
     tint: np.ndarray
     glow: np.ndarray
     uv: np.ndarray
+    room: np.ndarray
 
     def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Points [count, 3] spread evenly over the surface, 1 cm before it."""
@@ -57,14 +60,20 @@ class RoomGeometry:
 
 
 class Surfaces:
-    """Collects faces; a local frame (yaw and offset) is in force inside `at`."""
+    """Collects faces; a local frame (yaw and offset) is in force inside `at`.
+
+    Attributes:
+        rng: the random source.
+        room: what the faces that are added from now on belong to.
+    """
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
+        self.room = 0
         self._rotation, self._offset = np.eye(3), np.zeros(3)
         self._vertices: list[np.ndarray] = []
         self._faces: list[tuple[int, int, int]] = []
-        self._rows: list[tuple[np.ndarray, int, int, Tint, float, np.ndarray]] = []
+        self._rows: list[tuple[np.ndarray, int, int, Tint, float, np.ndarray, int]] = []
         self._count = 0
         self._flats = 0
 
@@ -96,18 +105,17 @@ class Surfaces:
         ``triangles``. ``uv_start`` [2] is the uv of the first corner (default: random).
         """
         points = np.asarray(corners, float) @ self._rotation.T + self._offset
-        normal = np.cross(points[1] - points[0], points[2] - points[1])
-        normal /= np.linalg.norm(normal)
+        normal = _unit(_cross(points[1] - points[0], points[2] - points[1]))
         u = points[1] - points[0] if u_axis is None else self._rotation @ np.asarray(u_axis, float)
-        u = u / np.linalg.norm(u)
-        axes = np.stack([u, np.cross(normal, u)])
+        u = _unit(u)
+        axes = np.stack([u, _cross(normal, u)])
         start = self.rng.uniform(0, 8, 2) if uv_start is None else np.asarray(uv_start, float)
         shift = start - axes @ points[0]
         frame = np.concatenate([axes, shift[:, None]], axis=1)
         fan = triangles or [(0, i, i + 1) for i in range(1, len(points) - 1)]
         for a, b, c in fan:
             self._faces.append((self._count + a, self._count + b, self._count + c))
-            self._rows.append((normal, self._flats, material, tint, glow, frame))
+            self._rows.append((normal, self._flats, material, tint, glow, frame, self.room))
         self._vertices.append(points)
         self._count += len(points)
         self._flats += 1
@@ -177,7 +185,7 @@ class Surfaces:
 
     def build(self) -> RoomGeometry:
         """Everything collected so far."""
-        normal, flat, material, tint, glow, frame = zip(*self._rows, strict=True)
+        normal, flat, material, tint, glow, frame, room = zip(*self._rows, strict=True)
         return RoomGeometry(
             np.concatenate(self._vertices),
             np.asarray(self._faces, np.int32),
@@ -187,4 +195,15 @@ class Surfaces:
             np.asarray(tint, np.float32),
             np.asarray(glow, np.float32),
             np.asarray(frame),
+            np.asarray(room, np.int32),
         )
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product of vectors [3]; a tenth of the time of numpy's, which takes stacks."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def _unit(a: np.ndarray) -> np.ndarray:
+    return a / math.sqrt(a.dot(a))
