@@ -92,10 +92,17 @@ def row_label(config: Mapping[str, Any]) -> str:
         parts.append("w/o projected depth")
     if not config["inputs"]["ray"]:
         parts.append("w/o view ray")
+    if (encoder := _encoder(config)) != "resnet":
+        parts.append(f"{encoder} encoder")
     random = config["select"]["policy"] == "random"
     if config["views"] != 16 or random:
         parts.append(f"{config['views']} images" + (", RND" if random else ""))
     return "Ours" + (": " + ", ".join(parts) if parts else "")
+
+
+def _encoder(config: Mapping[str, Any]) -> str:
+    """The kind of encoder; old configs, which name none, have a ResNet."""
+    return config.get("encoder", {}).get("name", "resnet")
 
 
 def _changes(config: Mapping[str, Any]) -> list[str]:
@@ -105,6 +112,7 @@ def _changes(config: Mapping[str, Any]) -> list[str]:
         names.append(config["fusion"]["strategy"])
     names += [] if config["inputs"]["depth"] else ["no_depth"]
     names += [] if config["inputs"]["ray"] else ["no_ray"]
+    names += [] if _encoder(config) == "resnet" else [_encoder(config)]
     names += [] if config["refine"] else ["no_refine"]
     names += [] if config["filter"] else ["no_filter"]
     return names
