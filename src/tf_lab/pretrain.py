@@ -137,7 +137,9 @@ def main(cfg: DictConfig) -> None:
         encoder, config["lr"], trunk_factor, config["steps"], config["temperature"], [*validated]
     )
     directory = output.with_suffix("")
-    settings = PairSettings(config["pairs"], config["points"], config["epipolar"])
+    settings = PairSettings(
+        config["pairs"], config["points"], config["epipolar"], jitter=config["jitter"]
+    )
     augment = PhotometricSettings(**config["augment"])
     saving = ModelCheckpoint(
         directory,

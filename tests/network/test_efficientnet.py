@@ -69,7 +69,7 @@ def published_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def trunk(encoder: EfficientNetLite0) -> dict[str, Tensor]:
-    pyramid = ("lateral.", "lateral_norm.", "coarse_head.", "fine_head.")
+    pyramid = ("lateral.", "entry.", "mixing.", "coarse_head.", "fine_head.")
     return {k: v for k, v in encoder.state_dict().items() if not k.startswith(pyramid)}
 
 

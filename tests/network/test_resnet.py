@@ -1,5 +1,6 @@
 """The ResNet encoder against ResNet-18's definition (He et al. 2016), and loading of weights."""
 
+import json
 from pathlib import Path
 from typing import Any
 from urllib.error import URLError
@@ -7,9 +8,11 @@ from urllib.error import URLError
 import pytest
 import torch
 import torch.nn.functional as F
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import Encoder, ResNet, load_encoder_weights, read_state_dict
 from tf_lab.network.encoders.resnet import IMAGENET_URL
@@ -266,3 +269,49 @@ def test_a_damaged_download_is_not_kept(hub: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(TFLabError, match="download is damaged"):
         load_encoder_weights(ResNet(**RESNET18), "imagenet", NOWHERE)
     assert not list(hub.parent.iterdir())
+
+
+def test_a_checkpoint_from_before_encoders_had_names() -> None:
+    """The shipped one: bit by bit what the encoder of its time made, written out here."""
+    path = shipped_checkpoint()
+    with safe_open(path, framework="np") as file:
+        config = json.loads(file.metadata()["config"])["encoder"]
+    if "name" in config:
+        pytest.skip("the shipped checkpoint names its encoder")
+    network, _ = load_network(path)
+    state = network.encoder.state_dict()
+    images = torch.randint(
+        0, 256, (2, 3, 60, 80), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
+    )
+
+    def convolve(x: Tensor, name: str, stride: int = 1, padding: int = 1) -> Tensor:
+        return F.conv2d(x, state[f"{name}.weight"], state.get(f"{name}.bias"), stride, padding)
+
+    def norm(x: Tensor, name: str) -> Tensor:
+        groups = x.shape[1] // 8
+        return F.group_norm(x, groups, state[f"{name}.weight"], state[f"{name}.bias"])
+
+    def block(x: Tensor, name: str, stride: int) -> Tensor:
+        out = F.relu(norm(convolve(x, f"{name}.conv1", stride), f"{name}.bn1"))
+        if stride > 1:
+            x = norm(convolve(x, f"{name}.downsample.0", stride, 0), f"{name}.downsample.1")
+        return F.relu(norm(convolve(out, f"{name}.conv2"), f"{name}.bn2") + x)
+
+    with torch.no_grad():
+        mean, std = (
+            torch.tensor(x).view(3, 1, 1) for x in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+        )
+        x = ((images.float() / 255 - mean) / std).contiguous(memory_format=torch.channels_last)
+        x = F.relu(norm(convolve(x, "conv1", 2, 3), "bn1"))
+        stages = []
+        for i in range(4):
+            x = block(x, f"layer{i + 1}.0", 1 if i == 0 else 2)
+            stages.append(x)
+        tops = [convolve(stages[3], "lateral.3", padding=0)]
+        for i in (2, 1, 0):
+            side = convolve(stages[i], f"lateral.{i}", padding=0)
+            tops.append(side + F.interpolate(tops[-1], size=side.shape[-2:], mode="nearest"))
+        found = network.encode(images)
+        for level, top in (("coarse", tops[1]), ("fine", tops[3])):
+            expected = F.normalize(convolve(top, f"{level}_head"), dim=1) * 32**0.5
+            assert torch.equal(found[level], expected)

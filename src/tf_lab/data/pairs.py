@@ -54,6 +54,8 @@ class PairSettings:
         epipolar: wrong candidates along each epipolar line.
         baseline: least distance of the cameras, metres.
         overlap: least share of the first image's points that the second sees.
+        jitter: deviation of the true pixel from its place, pixels: poses and depth of real captures
+            are never exact.
     """
 
     pairs: int = 8
@@ -61,6 +63,7 @@ class PairSettings:
     epipolar: int = 8
     baseline: float = 0.15
     overlap: float = 0.3
+    jitter: float = 0.0
 
 
 class PairStream(IterableDataset[PairBatch]):
@@ -134,10 +137,11 @@ class PairStream(IterableDataset[PairBatch]):
         images = [scene.image(a), scene.image(b)]
         if self.augment is not None:
             images = [photometric(image, self.augment, rng) for image in images]
+        true = uv[seen] + s.jitter * torch.from_numpy(rng.standard_normal((len(seen), 2))).float()
         return PairBatch(
             images=torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).contiguous(),
             uv_a=uv_a[seen],
-            uv_b=torch.cat([uv[seen, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1),
+            uv_b=torch.cat([true[:, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1),
         )
 
     def _points(self, scene: Capture, a: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:

@@ -115,7 +115,7 @@ class EfficientNetLite0(Encoder):
             self.ends.append(len(self._blocks) - 1)
             strides.append(stride)
         channels = [stage[-1] for stage in STAGES[: len(strides)]]
-        self.build_pyramid(strides, channels, pyramid_norm=True, **maps)
+        self.build_pyramid(strides, channels, mixed=True, **maps)
 
     def train(self, mode: bool = True) -> Self:
         """Trunk and pyramid, but for the batch normalisation, which has ImageNet's statistics."""

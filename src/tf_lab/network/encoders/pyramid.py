@@ -12,12 +12,29 @@ from torch import Tensor, nn
 
 from tf_lab.errors import TFLabError
 
-PYRAMID = ("lateral.", "lateral_norm.", "coarse_head.", "fine_head.")  # begin its tensors' names
+# begin the names of the pyramid's tensors
+PYRAMID = ("lateral.", "entry.", "mixing.", "coarse_head.", "fine_head.")
 
 
 def group_norm(channels: int) -> nn.GroupNorm:
     """Of groups of 8 channels."""
     return nn.GroupNorm(max(1, channels // 8), channels)
+
+
+class Mixing(nn.Module):
+    """A separable 3x3 convolution beside the identity, which it is at first."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.filter = nn.Conv2d(channels, channels, 3, padding=1, groups=channels, bias=False)
+        self.norm = group_norm(channels)
+        self.mix = nn.Conv2d(channels, channels, 1)
+        nn.init.zeros_(self.mix.weight)
+        nn.init.zeros_(self.mix.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[N, channels, h, w] to the same."""
+        return x + self.mix(F.relu(self.norm(self.filter(x))))
 
 
 class Encoder(nn.Module):
@@ -65,7 +82,7 @@ class Encoder(nn.Module):
         fine_channels: int,
         unit_norm: bool,
         pyramid_channels: int | None = None,
-        pyramid_norm: bool = False,
+        mixed: bool = False,
     ) -> None:
         """Add the pyramid's layers.
 
@@ -78,8 +95,9 @@ class Encoder(nn.Module):
             fine_channels: of the fine map.
             unit_norm: scale every feature vector to length sqrt(channels).
             pyramid_channels: inside the pyramid; None: those of the wider map.
-            pyramid_norm: group normalisation where a stage enters, for a trunk whose stages differ
-                in scale.
+            mixed: for a trunk that is not trained with it: stages are normalised where they enter
+                (they differ in scale), upsampled bilinearly, and mixed by a separable convolution
+                at every level (Tan et al. 2020); without, the pyramid is linear.
 
         Raises:
             TFLabError: no stage has such a stride.
@@ -98,9 +116,11 @@ class Encoder(nn.Module):
         self.lateral = nn.ModuleList(
             nn.Conv2d(c, width, 1) for c in trunk_channels[self.fine_level :]
         )
-        self.lateral_norm = nn.ModuleList(
-            group_norm(width) if pyramid_norm else nn.Identity() for _ in self.lateral
+        self.upsampling = "bilinear" if mixed else "nearest"
+        self.entry = nn.ModuleList(
+            group_norm(width) if mixed else nn.Identity() for _ in self.lateral
         )
+        self.mixing = nn.ModuleList(Mixing(width) if mixed else nn.Identity() for _ in self.lateral)
         self.coarse_head = nn.Conv2d(width, coarse_channels, 3, padding=1)
         self.fine_head = nn.Conv2d(width, fine_channels, 3, padding=1)
 
@@ -123,11 +143,11 @@ class Encoder(nn.Module):
         top: Tensor | None = None
         coarse = fine = x
         for level in reversed(range(self.fine_level, len(stages))):
-            entry = level - self.fine_level
-            side = self.lateral_norm[entry](self.lateral[entry](stages[level]))
+            i = level - self.fine_level
+            side = self.entry[i](self.lateral[i](stages[level]))
             if top is not None:
-                side = side + F.interpolate(top, size=side.shape[-2:], mode="nearest")
-            top = side
+                side = side + F.interpolate(top, size=side.shape[-2:], mode=self.upsampling)
+            top = self.mixing[i](side)
             if level == self.coarse_level:
                 coarse = self.coarse_head(top)
             if level == self.fine_level:
