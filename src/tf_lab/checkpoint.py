@@ -75,6 +75,7 @@ def shipped_checkpoint(name: str = "tiny") -> Path:
     return SHIPPED / f"{name}.safetensors"
 
 
-def shipped_encoder(name: str) -> Path:
-    """The pre-trained encoder ("rooms") that comes with the package for a model size."""
-    return SHIPPED / f"{name}-encoder.safetensors"
+def shipped_encoder(model: str, encoder: str = "resnet") -> Path:
+    """The pre-trained encoder ("rooms") that comes with the package for a model size, if any."""
+    kind = "" if encoder == "resnet" else f"-{encoder}"
+    return SHIPPED / f"{model}{kind}-encoder.safetensors"

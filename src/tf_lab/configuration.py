@@ -11,7 +11,7 @@ from tf_lab.checkpoint import shipped_encoder
 from tf_lab.commands import device_of
 from tf_lab.data.chunks import ChunkSettings
 from tf_lab.errors import TFLabError
-from tf_lab.network.encoder import load_encoder_weights
+from tf_lab.network.encoders import Encoder, load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
 from tf_lab.online.selection import make_policy
 from tf_lab.online.settings import ReconstructionSettings
@@ -24,12 +24,11 @@ Config = Mapping[str, Any]
 def make_network(config: Config) -> Network:
     """The network, its encoder initialised as ``encoder.weights`` says."""
     model = {k: v for k, v in config["model"].items() if k != "name"}
-    encoder = {k: v for k, v in config["encoder"].items() if k != "weights"}
     try:
         network = Network(
             NetworkConfig(
                 **model,
-                encoder=encoder,
+                encoder=encoder_settings(config),
                 fusion=config["fusion"]["strategy"],
                 depth=config["inputs"]["depth"],
                 ray=config["inputs"]["ray"],
@@ -40,9 +39,19 @@ def make_network(config: Config) -> Network:
         )
     except TypeError as error:
         raise TFLabError(f"model, encoder: {error}; see the files in conf/model") from error
-    shipped = shipped_encoder(config["model"]["name"])
-    load_encoder_weights(network.encoder, config["encoder"]["weights"], shipped)
+    initialise_encoder(network.encoder, config, config["encoder"]["weights"])
     return network
+
+
+def encoder_settings(config: Config) -> dict[str, Any]:
+    """What `make_encoder` takes."""
+    return {k: v for k, v in config["encoder"].items() if k != "weights"}
+
+
+def initialise_encoder(encoder: Encoder, config: Config, source: str) -> None:
+    """Load the weights that ``encoder.weights=source`` means for a config."""
+    shipped = shipped_encoder(config["model"]["name"], config["encoder"]["name"])
+    load_encoder_weights(encoder, source, shipped)
 
 
 def chunk_settings(config: Config) -> ChunkSettings:

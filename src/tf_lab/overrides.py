@@ -31,7 +31,8 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
 
     Args:
         cfg: as the command got it from Hydra, whose job is still running.
-        unused: settings (or groups of them) that the command does not read.
+        unused: settings (or groups of them) that the command does not read. A choice among a
+            group's options may still say something else.
 
     Raises:
         TFLabError: one is not.
@@ -42,7 +43,7 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
     defaults = compose(job.job.config_name, choices)
     for override in given:
         name = override.key_or_group
-        if is_within(name, unused):
+        if is_within(name, unused) and name not in job.runtime.choices:
             raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
         if name in OF_ANY_TYPE or override.is_add() or override.is_delete():
             continue

@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader
 
 import box_room
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
+from tf_lab.data.photometric import PhotometricSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 
@@ -130,6 +131,23 @@ def test_a_batch_is_a_function_of_seed_and_step_alone(box_scene: Path) -> None:
     assert same(batches(box_scene, 1, first_step=2)[0], third)
     assert not same(first, second)
     assert not same(batches(box_scene, 1, seed=1)[0], first)
+
+
+def test_augmentation_changes_images_alone_and_each_by_itself(box_scene: Path) -> None:
+    """A point keeps its pixels; a pair's two images change by different draws."""
+    exposure = PhotometricSettings(exposure=1.0)
+    plain = PairStream([box_scene], PairSettings(1, 24, 5), 0)
+    augmented = PairStream([box_scene], PairSettings(1, 24, 5), 0, augment=exposure)
+    differ = []
+    for step in range(6):
+        a, b = (s.batch(np.random.default_rng([0, step])) for s in (plain, augmented))
+        assert torch.equal(a.uv_a, b.uv_a)
+        assert torch.equal(a.uv_b[:, :, 0], b.uv_b[:, :, 0])
+        light = [((x.images / 255) ** 2.2).mean((0, 2, 3, 4)) for x in (a, b)]
+        stops = (light[1] / light[0]).log2()
+        assert stops.abs().max() < 1.05
+        differ.append(float((stops[0] - stops[1]).abs()))
+    assert sum(d > 0.1 for d in differ) >= 4
 
 
 def test_worker_processes_give_the_same_batches(box_scene: Path) -> None:

@@ -130,6 +130,6 @@ def _bytes(r: Reconstructor, stage: str, voxels: float) -> float:
 
 def _measuring(r: Reconstructor, level: Level, voxels: float) -> float:
     """Bytes of the samples (each texel once) and of the logits that select."""
-    channels = r.network.config.encoder[f"{level.name}_channels"]
+    channels = r.network.encoder.channels[level.name]
     texels = 4 * voxels * channels * r.frames.dtype.itemsize
     return min(texels, r.frames.map_nbytes(level.name)) + voxels * level.store.logits[:1].nbytes

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
+from tf_lab.data.capture import Capture
+from tf_lab.data.photometric import PhotometricSettings, photometric
 from tf_lab.data.scene import Scene
 from tf_lab.data.steps import own_steps
 from tf_lab.data.tsdf import unproject
@@ -52,6 +54,8 @@ class PairSettings:
         epipolar: wrong candidates along each epipolar line.
         baseline: least distance of the cameras, metres.
         overlap: least share of the first image's points that the second sees.
+        jitter: deviation of the true pixel from its place, pixels: poses and depth of real captures
+            are never exact.
     """
 
     pairs: int = 8
@@ -59,17 +63,34 @@ class PairSettings:
     epipolar: int = 8
     baseline: float = 0.15
     overlap: float = 0.3
+    jitter: float = 0.0
 
 
 class PairStream(IterableDataset[PairBatch]):
-    """An endless stream of batches, each a function of (seed, step) alone."""
+    """An endless stream of batches, each a function of (seed, step) alone.
+
+    Args:
+        scenes: prepared ones, or captures with depth.
+        settings: how pairs are drawn.
+        seed: of all draws.
+        first_step: where the stream begins.
+        augment: photometric effects, drawn for every image by itself; None: images as they are.
+
+    Raises:
+        TFLabError: there is no scene, or one has no depth.
+    """
 
     def __init__(
-        self, scenes: Sequence[Path], settings: PairSettings, seed: int, first_step: int = 0
+        self,
+        scenes: Sequence[Path | Capture],
+        settings: PairSettings,
+        seed: int,
+        first_step: int = 0,
+        augment: PhotometricSettings | None = None,
     ) -> None:
         if not scenes:
             raise TFLabError("there is no scene to pre-train on; prepare the data first")
-        self.scenes, self.settings = list(scenes), settings
+        self.scenes, self.settings, self.augment = list(scenes), settings, augment
         self.seed, self.first_step = seed, first_step
 
     def __iter__(self) -> Iterator[PairBatch]:
@@ -84,7 +105,8 @@ class PairStream(IterableDataset[PairBatch]):
         """
         found: list[PairBatch] = []
         for _ in range(100 * self.settings.pairs):
-            pair = self.pair(_open(self.scenes[rng.integers(len(self.scenes))]), rng)
+            chosen = self.scenes[rng.integers(len(self.scenes))]
+            pair = self.pair(_open(chosen) if isinstance(chosen, Path) else chosen, rng)
             if pair is not None:
                 found.append(pair)
             if len(found) == self.settings.pairs:
@@ -93,10 +115,10 @@ class PairStream(IterableDataset[PairBatch]):
                 )
         raise TFLabError("the frames of the scenes do not overlap enough for pre-training")
 
-    def pair(self, scene: Scene, rng: np.random.Generator) -> PairBatch | None:
+    def pair(self, scene: Capture, rng: np.random.Generator) -> PairBatch | None:
         """One pair, without the batch axis; None if the frame drawn has no partner."""
         s = self.settings
-        a = int(rng.integers(len(scene)))
+        a = int(rng.integers(len(scene.frames)))
         points, uv_a = self._points(scene, a, rng)
         b = self._partner(scene, a, points[:200], rng)
         if b is None:
@@ -112,18 +134,21 @@ class PairStream(IterableDataset[PairBatch]):
         if len(seen) < s.points:
             return None
         seen = seen[: s.points]
-        images = np.stack([scene.image(a), scene.image(b)])
+        images = [scene.image(a), scene.image(b)]
+        if self.augment is not None:
+            images = [photometric(image, self.augment, rng) for image in images]
+        true = uv[seen] + s.jitter * torch.from_numpy(rng.standard_normal((len(seen), 2))).float()
         return PairBatch(
-            images=torch.from_numpy(images).permute(0, 3, 1, 2).contiguous(),
+            images=torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).contiguous(),
             uv_a=uv_a[seen],
-            uv_b=torch.cat([uv[seen, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1),
+            uv_b=torch.cat([true[:, None], self._epipolar(scene, a, b, points[seen], rng)], dim=1),
         )
 
-    def _points(self, scene: Scene, a: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    def _points(self, scene: Capture, a: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Random pixels of frame a with depth: world points [M, 3] and pixels [M, 2]."""
         depth = scene.depth(a)
         if depth is None:
-            raise TFLabError(f"{scene.directory}: pre-training needs depth, this scene has none")
+            raise TFLabError(f"{scene.name}: pre-training needs depth, this scene has none")
         sparse = np.where(rng.random(depth.shape) < 0.15, depth, 0)
         rows, columns = np.nonzero(sparse)
         points = unproject(
@@ -134,7 +159,7 @@ class PairStream(IterableDataset[PairBatch]):
         return points[order], pixels[order]
 
     def _partner(
-        self, scene: Scene, a: int, points: Tensor, rng: np.random.Generator
+        self, scene: Capture, a: int, points: Tensor, rng: np.random.Generator
     ) -> int | None:
         """A random frame that overlaps frame a from another place."""
         poses = torch.from_numpy(scene.world_T_cam).float()
@@ -146,7 +171,7 @@ class PairStream(IterableDataset[PairBatch]):
         return int(candidates[rng.integers(len(candidates))]) if len(candidates) else None
 
     def _epipolar(
-        self, scene: Scene, a: int, b: int, points: Tensor, rng: np.random.Generator
+        self, scene: Capture, a: int, b: int, points: Tensor, rng: np.random.Generator
     ) -> Tensor:
         """Pixels [P, E, 2] in frame b of wrong depths along the rays from frame a."""
         camera = transform(_pose(scene, a, inverse=True), points)
@@ -163,6 +188,6 @@ def _open(directory: Path) -> Scene:
     return Scene(directory)
 
 
-def _pose(scene: Scene, index: int, inverse: bool = False) -> Tensor:
+def _pose(scene: Capture, index: int, inverse: bool = False) -> Tensor:
     pose = torch.from_numpy(scene.world_T_cam[index]).float()
     return invert_pose(pose) if inverse else pose

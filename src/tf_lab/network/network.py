@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.agreement import Agreement
-from tf_lab.network.encoder import Encoder, normalise_images
+from tf_lab.network.encoders import make_encoder
 from tf_lab.network.fusion import STRATEGIES, Fusion
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
@@ -36,7 +36,7 @@ class NetworkConfig:
         filter: whether near-surface masks are trained and used.
         hidden: width of the occupancy perceptron.
         near, far: valid depth range, metres.
-        encoder: arguments of `Encoder`.
+        encoder: arguments of `make_encoder`.
     """
 
     width: int
@@ -106,12 +106,9 @@ class Network(nn.Module):
         c = config
         self.config = config
         # channels last: convolutions and samples along the channels are faster, on CPU and GPU
-        self.encoder = Encoder(**c.encoder)
+        self.encoder = make_encoder(**c.encoder)
         self.encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        channels = {
-            "coarse": c.encoder["coarse_channels"],
-            "fine": c.encoder["fine_channels"],
-        }
+        channels = self.encoder.channels
         self.tokens = nn.ModuleDict(
             {name: Tokens(channels[name], c.width, c.depth, c.ray) for name in LEVELS}
         )
@@ -132,8 +129,7 @@ class Network(nn.Module):
 
     def encode(self, images: Tensor) -> dict[str, Tensor]:
         """Images of 0..255 [N, 3, H, W] to feature maps {"coarse", "fine"} [N, C, h, w]."""
-        x = normalise_images(images).contiguous(memory_format=torch.channels_last)
-        coarse, fine = self.encoder(x)
+        coarse, fine = self.encoder(images)
         return {"coarse": coarse, "fine": fine}
 
     def embed(self, level: str, measured: Measurements) -> Tensor:

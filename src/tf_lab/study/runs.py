@@ -100,12 +100,19 @@ def row_label(config: Mapping[str, Any]) -> str:
         parts.append("w/o projected depth")
     if not config["inputs"]["ray"]:
         parts.append("w/o view ray")
+    if (encoder := _encoder(config)) != "resnet":
+        parts.append(f"{encoder} encoder")
     if config["inputs"].get("matching"):
         parts.append("+ matching")
     policy = config["select"]["policy"]
     if config["views"] != 16 or policy != "attention":
         parts.append(f"{config['views']} images" + SELECTION_LABELS.get(policy, f", {policy}"))
     return "Ours" + (": " + ", ".join(parts) if parts else "")
+
+
+def _encoder(config: Mapping[str, Any]) -> str:
+    """The kind of encoder; old configs, which name none, have a ResNet."""
+    return config.get("encoder", {}).get("name", "resnet")
 
 
 def _changes(config: Mapping[str, Any]) -> list[str]:
@@ -116,6 +123,7 @@ def _changes(config: Mapping[str, Any]) -> list[str]:
     names += [] if config["inputs"]["depth"] else ["no_depth"]
     names += [] if config["inputs"]["ray"] else ["no_ray"]
     names += ["matching"] if config["inputs"].get("matching") else []
+    names += [] if _encoder(config) == "resnet" else [_encoder(config)]
     names += [] if config["refine"] else ["no_refine"]
     names += [] if config["filter"] else ["no_filter"]
     return names

@@ -1,5 +1,6 @@
-"""The encoder against ResNet-18's definition (He et al. 2016), and the loading of weights."""
+"""The ResNet encoder against ResNet-18's definition (He et al. 2016), and loading of weights."""
 
+import json
 from pathlib import Path
 from typing import Any
 from urllib.error import URLError
@@ -7,17 +8,14 @@ from urllib.error import URLError
 import pytest
 import torch
 import torch.nn.functional as F
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.errors import TFLabError
-from tf_lab.network.encoder import (
-    IMAGENET_URL,
-    Encoder,
-    load_encoder_weights,
-    normalise_images,
-    read_state_dict,
-)
+from tf_lab.network.encoders import Encoder, ResNet, load_encoder_weights, read_state_dict
+from tf_lab.network.encoders.resnet import IMAGENET_URL
 
 RESNET18: dict[str, Any] = {
     "width": 64,
@@ -81,7 +79,7 @@ def assert_loaded(encoder: Encoder, expected: dict[str, Tensor]) -> None:
 
 
 def test_the_backbone_is_resnet18_by_name_and_shape() -> None:
-    shapes = {k: tuple(v.shape) for k, v in backbone(Encoder(**RESNET18)).items()}
+    shapes = {k: tuple(v.shape) for k, v in backbone(ResNet(**RESNET18)).items()}
     assert shapes == resnet18_shapes()
     # 11,689,512 parameters are published for ResNet-18, of which 512 x 1000 + 1000 classify
     buffers = ("running_mean", "running_var", "num_batches_tracked")
@@ -92,7 +90,7 @@ def test_the_backbone_is_resnet18_by_name_and_shape() -> None:
 def test_the_stages_compute_resnet18() -> None:
     """The forward pass, written out with functional calls on the state dict."""
     torch.manual_seed(0)
-    encoder = Encoder(**{**SMALL, "blocks": [2, 1, 1, 1]}).eval()
+    encoder = ResNet(**{**SMALL, "blocks": [2, 1, 1, 1]}).eval()
     state = encoder.state_dict()
 
     def norm(x: Tensor, name: str) -> Tensor:
@@ -114,7 +112,7 @@ def test_the_stages_compute_resnet18() -> None:
         )
     images = torch.randn(2, 3, 64, 96)
     with torch.no_grad():
-        encoder(images)
+        encoder.stages(images)
         x = F.conv2d(images, state["conv1.weight"], stride=2, padding=3)
         x = F.max_pool2d(norm(x, "bn1").relu(), 3, 2, 1)
         for name, count in (("layer1", 2), ("layer2", 1), ("layer3", 1), ("layer4", 1)):
@@ -136,8 +134,8 @@ def test_the_stages_compute_resnet18() -> None:
 )
 def test_strides_and_channels(changes: dict[str, Any], coarse: int, fine: int) -> None:
     torch.manual_seed(0)
-    encoder = Encoder(**{**SMALL, **changes})
-    maps = encoder(torch.randn(2, 3, 64, 96))
+    encoder = ResNet(**{**SMALL, **changes})
+    maps = encoder(torch.rand(2, 3, 64, 96) * 255)
     assert maps[0].shape == (2, 32, 64 // coarse, 96 // coarse)
     assert maps[1].shape == (2, 24, 64 // fine, 96 // fine)
     if changes.get("unit_norm"):
@@ -147,7 +145,7 @@ def test_strides_and_channels(changes: dict[str, Any], coarse: int, fine: int) -
 
 
 def test_sizes_that_the_stride_does_not_divide() -> None:
-    maps = Encoder(**SMALL)(torch.randn(1, 3, 60, 81))
+    maps = ResNet(**SMALL)(torch.rand(1, 3, 60, 81) * 255)
     assert maps[0].shape[-2:] == (4, 6)  # a convolution of stride 2 rounds up
     assert maps[1].shape[-2:] == (15, 21)
 
@@ -155,18 +153,18 @@ def test_sizes_that_the_stride_does_not_divide() -> None:
 @pytest.mark.parametrize("changes", [{"coarse_stride": 5}, {"fine_stride": 2}, {"fine_stride": 32}])
 def test_strides_that_no_stage_has(changes: dict[str, int]) -> None:
     with pytest.raises(TFLabError, match="stride"):
-        Encoder(**{**SMALL, **changes})
+        ResNet(**{**SMALL, **changes})
 
 
 def test_images_are_normalised_as_imagenets() -> None:
     images = torch.tensor([0, 255], dtype=torch.uint8).view(2, 1, 1, 1).expand(2, 3, 2, 2)
-    black, white = normalise_images(images)[:, :, 0, 0].tolist()
+    black, white = ResNet(**SMALL).normalise(images)[:, :, 0, 0].tolist()
     assert black == pytest.approx([-0.485 / 0.229, -0.456 / 0.224, -0.406 / 0.225])
     assert white == pytest.approx([0.515 / 0.229, 0.544 / 0.224, 0.594 / 0.225])
 
 
 def test_none_changes_nothing() -> None:
-    encoder = Encoder(**SMALL)
+    encoder = ResNet(**SMALL)
     before = {k: v.clone() for k, v in backbone(encoder).items()}
     load_encoder_weights(encoder, "none", NOWHERE)
     assert_loaded(encoder, before)
@@ -174,7 +172,7 @@ def test_none_changes_nothing() -> None:
 
 @pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
 def test_a_file_of_weights(tmp_path: Path, suffix: str) -> None:
-    encoder, path = Encoder(**SMALL), tmp_path / f"weights{suffix}"
+    encoder, path = ResNet(**SMALL), tmp_path / f"weights{suffix}"
     state = noise(encoder)
     classifier = {"fc.weight": torch.zeros(1000, 64), "fc.bias": torch.zeros(1000)}
     if suffix == ".pth":
@@ -186,7 +184,7 @@ def test_a_file_of_weights(tmp_path: Path, suffix: str) -> None:
 
 
 def test_the_shipped_file(tmp_path: Path) -> None:
-    encoder, path = Encoder(**SMALL), tmp_path / "rooms.safetensors"
+    encoder, path = ResNet(**SMALL), tmp_path / "rooms.safetensors"
     with pytest.raises(TFLabError, match=r"rooms\.safetensors does not ship"):
         load_encoder_weights(encoder, "rooms", path)
     state = noise(encoder)
@@ -197,13 +195,13 @@ def test_the_shipped_file(tmp_path: Path) -> None:
 
 def test_weights_of_another_architecture(tmp_path: Path) -> None:
     path = tmp_path / "wide.pth"
-    torch.save(noise(Encoder(**{**SMALL, "width": 16})), path)
+    torch.save(noise(ResNet(**{**SMALL, "width": 16})), path)
     with pytest.raises(TFLabError, match="do not fit"):
-        load_encoder_weights(Encoder(**SMALL), str(path), NOWHERE)
+        load_encoder_weights(ResNet(**SMALL), str(path), NOWHERE)
     deep = tmp_path / "deep.pth"
-    torch.save(noise(Encoder(**{**SMALL, "blocks": [2, 1, 1, 1]})), deep)
+    torch.save(noise(ResNet(**{**SMALL, "blocks": [2, 1, 1, 1]})), deep)
     with pytest.raises(TFLabError, match=r"do not fit.*layer1\.1"):
-        load_encoder_weights(Encoder(**SMALL), str(deep), NOWHERE)
+        load_encoder_weights(ResNet(**SMALL), str(deep), NOWHERE)
 
 
 @pytest.mark.parametrize("name", ["weights.pth", "weights.safetensors"])
@@ -213,23 +211,23 @@ def test_a_file_that_holds_no_weights(tmp_path: Path, name: str) -> None:
         read_state_dict(path)
     path.write_bytes(b"this is not a file of weights" * 10)
     with pytest.raises(TFLabError, match=f"{name}: not a weights file"):
-        load_encoder_weights(Encoder(**SMALL), str(path), NOWHERE)
+        load_encoder_weights(ResNet(**SMALL), str(path), NOWHERE)
 
 
 def test_a_torch_file_of_something_else(tmp_path: Path) -> None:
     path = tmp_path / "tensor.pth"
     torch.save(torch.zeros(3), path)
     with pytest.raises(TFLabError, match=r"tensor\.pth: not a weights file"):
-        load_encoder_weights(Encoder(**SMALL), str(path), NOWHERE)
+        load_encoder_weights(ResNet(**SMALL), str(path), NOWHERE)
 
 
 def test_weights_that_lack_layers(tmp_path: Path) -> None:
     """Nothing but the pyramid may stay random without a word."""
-    state = noise(Encoder(**SMALL))
+    state = noise(ResNet(**SMALL))
     path = tmp_path / "part.pth"
     torch.save({k: v for k, v in state.items() if not k.startswith("layer3")}, path)
     with pytest.raises(TFLabError, match="layer3"):
-        load_encoder_weights(Encoder(**SMALL), str(path), NOWHERE)
+        load_encoder_weights(ResNet(**SMALL), str(path), NOWHERE)
 
 
 @pytest.fixture
@@ -246,7 +244,7 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_imagenet_offline(hub: Path) -> None:
     with pytest.raises(TFLabError) as caught:
-        load_encoder_weights(Encoder(**RESNET18), "imagenet", NOWHERE)
+        load_encoder_weights(ResNet(**RESNET18), "imagenet", NOWHERE)
     message = str(caught.value)
     assert IMAGENET_URL in message  # what is missing,
     assert str(hub) in message  # where to put it,
@@ -255,7 +253,7 @@ def test_imagenet_offline(hub: Path) -> None:
 
 
 def test_imagenet_from_the_cache(hub: Path) -> None:
-    encoder = Encoder(**RESNET18)
+    encoder = ResNet(**RESNET18)
     state = noise(encoder)
     hub.parent.mkdir()
     torch.save({**state, "fc.weight": torch.zeros(1000, 512)}, hub)
@@ -269,5 +267,51 @@ def test_a_damaged_download_is_not_kept(hub: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(torch.hub, "download_url_to_file", truncated)
     with pytest.raises(TFLabError, match="download is damaged"):
-        load_encoder_weights(Encoder(**RESNET18), "imagenet", NOWHERE)
+        load_encoder_weights(ResNet(**RESNET18), "imagenet", NOWHERE)
     assert not list(hub.parent.iterdir())
+
+
+def test_a_checkpoint_from_before_encoders_had_names() -> None:
+    """The shipped one: bit by bit what the encoder of its time made, written out here."""
+    path = shipped_checkpoint()
+    with safe_open(path, framework="np") as file:
+        config = json.loads(file.metadata()["config"])["encoder"]
+    if "name" in config:
+        pytest.skip("the shipped checkpoint names its encoder")
+    network, _ = load_network(path)
+    state = network.encoder.state_dict()
+    images = torch.randint(
+        0, 256, (2, 3, 60, 80), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
+    )
+
+    def convolve(x: Tensor, name: str, stride: int = 1, padding: int = 1) -> Tensor:
+        return F.conv2d(x, state[f"{name}.weight"], state.get(f"{name}.bias"), stride, padding)
+
+    def norm(x: Tensor, name: str) -> Tensor:
+        groups = x.shape[1] // 8
+        return F.group_norm(x, groups, state[f"{name}.weight"], state[f"{name}.bias"])
+
+    def block(x: Tensor, name: str, stride: int) -> Tensor:
+        out = F.relu(norm(convolve(x, f"{name}.conv1", stride), f"{name}.bn1"))
+        if stride > 1:
+            x = norm(convolve(x, f"{name}.downsample.0", stride, 0), f"{name}.downsample.1")
+        return F.relu(norm(convolve(out, f"{name}.conv2"), f"{name}.bn2") + x)
+
+    with torch.no_grad():
+        mean, std = (
+            torch.tensor(x).view(3, 1, 1) for x in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+        )
+        x = ((images.float() / 255 - mean) / std).contiguous(memory_format=torch.channels_last)
+        x = F.relu(norm(convolve(x, "conv1", 2, 3), "bn1"))
+        stages = []
+        for i in range(4):
+            x = block(x, f"layer{i + 1}.0", 1 if i == 0 else 2)
+            stages.append(x)
+        tops = [convolve(stages[3], "lateral.3", padding=0)]
+        for i in (2, 1, 0):
+            side = convolve(stages[i], f"lateral.{i}", padding=0)
+            tops.append(side + F.interpolate(tops[-1], size=side.shape[-2:], mode="nearest"))
+        found = network.encode(images)
+        for level, top in (("coarse", tops[1]), ("fine", tops[3])):
+            expected = F.normalize(convolve(top, f"{level}_head"), dim=1) * 32**0.5
+            assert torch.equal(found[level], expected)

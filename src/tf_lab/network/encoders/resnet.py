@@ -1,0 +1,128 @@
+"""ResNet (He et al. 2016) of basic blocks as a trunk, with a pyramid.
+
+The state-dict keys are torchvision's, so that its ImageNet weights load as they are. The paper does
+not say which layers give the features; the strides are config values (1/16 and 1/4 at paper size).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.error import URLError
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from tf_lab.errors import TFLabError
+from tf_lab.network.encoders.pyramid import Encoder, group_norm
+from tf_lab.network.encoders.weights import read_state_dict
+
+IMAGENET_URL = "https://download.pytorch.org/models/resnet18-f37072fd.pth"
+
+
+def _norm(kind: str, channels: int) -> nn.Module:
+    if kind == "batch":
+        return nn.BatchNorm2d(channels)
+    return group_norm(channels)
+
+
+class BasicBlock(nn.Module):
+    """Two 3x3 convolutions with a residual connection; names as in torchvision."""
+
+    def __init__(self, inputs: int, channels: int, stride: int, norm: str) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, channels, 3, stride, 1, bias=False)
+        self.bn1 = _norm(norm, channels)
+        self.conv2 = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
+        self.bn2 = _norm(norm, channels)
+        self.downsample: nn.Module | None = None
+        if stride != 1 or inputs != channels:
+            self.downsample = nn.Sequential(
+                nn.Conv2d(inputs, channels, 1, stride, bias=False), _norm(norm, channels)
+            )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[N, inputs, h, w] -> [N, channels, h / stride, w / stride]."""
+        identity = x if self.downsample is None else self.downsample(x)
+        out = F.relu(self.bn1(self.conv1(x)))
+        return F.relu(self.bn2(self.conv2(out)) + identity)
+
+
+class ResNet(Encoder):
+    """ResNet and pyramid.
+
+    Args:
+        width: channels of the stem (64 in ResNet-18); doubled at every stage.
+        blocks: basic blocks of the four stages ((2, 2, 2, 2) is ResNet-18).
+        stem_stride: stride of the first convolution (2 in ResNet-18).
+        stem_pool: whether a 3x3 max-pooling of stride 2 follows (True in ResNet-18).
+        norm: "batch" (as ImageNet weights need it) or "group" (for small batches).
+        maps: strides, channels and length of the maps' features, see `Encoder.build_pyramid`.
+    """
+
+    MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet's
+
+    def __init__(
+        self,
+        width: int,
+        blocks: Sequence[int],
+        stem_stride: int,
+        stem_pool: bool,
+        norm: str,
+        **maps: Any,
+    ) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, width, 7, stem_stride, 3, bias=False)
+        self.bn1 = _norm(norm, width)
+        self.pool = nn.MaxPool2d(3, 2, 1) if stem_pool else nn.Identity()
+        stride = stem_stride * (2 if stem_pool else 1)
+        self.strides: list[int] = []
+        channels = [width]
+        for i, count in enumerate(blocks):
+            step = 1 if i == 0 else 2
+            stride *= step
+            self.strides.append(stride)
+            layers = [BasicBlock(channels[-1], width * 2**i, step, norm)]
+            layers += [BasicBlock(width * 2**i, width * 2**i, 1, norm) for _ in range(count - 1)]
+            channels.append(width * 2**i)
+            self.add_module(f"layer{i + 1}", nn.Sequential(*layers))
+        self.build_pyramid(self.strides, channels[1:], **maps)
+
+    def stages(self, x: Tensor) -> list[Tensor]:
+        """Of normalised images [N, 3, H, W]: the output of every stage."""
+        x = self.pool(F.relu(self.bn1(self.conv1(x))))
+        found = []
+        for i in range(len(self.strides)):
+            x = getattr(self, f"layer{i + 1}")(x)
+            found.append(x)
+        return found
+
+    def trunk_of(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """A state dict without the classifier."""
+        return {key: value for key, value in state.items() if not key.startswith("fc.")}
+
+    @classmethod
+    def imagenet_weights(cls) -> dict[str, Tensor]:
+        """ResNet-18 weights of torchvision from torch's hub cache, else downloaded and verified."""
+        path = Path(torch.hub.get_dir()) / "checkpoints" / IMAGENET_URL.rsplit("/", 1)[1]
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            partial = path.with_suffix(f".{os.getpid()}.partial")
+            try:
+                torch.hub.download_url_to_file(IMAGENET_URL, str(partial))
+                digest = hashlib.sha256(partial.read_bytes()).hexdigest()
+                if not digest.startswith(path.stem.rsplit("-", 1)[1]):
+                    raise TFLabError(f"{IMAGENET_URL}: the download is damaged; try again")
+                partial.replace(path)
+            except (URLError, OSError) as error:
+                raise TFLabError(
+                    f"encoder.weights=imagenet: {IMAGENET_URL} cannot be downloaded ({error}); put "
+                    f"the file at {path}, or use encoder.weights=none"
+                ) from error
+            finally:
+                partial.unlink(missing_ok=True)
+        return read_state_dict(path)
