@@ -59,7 +59,7 @@ def depth_image(
     return np.where(hit, np.minimum(enter, wall), wall)  # camera z = ray parameter, rays have z = 1
 
 
-def _seen(pose: np.ndarray, depth: np.ndarray, K: np.ndarray | None = None) -> np.ndarray:
+def seen_points(pose: np.ndarray, depth: np.ndarray, K: np.ndarray | None = None) -> np.ndarray:
     """The world points [h, w, 3] that the pixels of a depth image show."""
     K = intrinsics((depth.shape[1], depth.shape[0])) if K is None else K
     v, u = np.indices(depth.shape)
@@ -69,14 +69,14 @@ def _seen(pose: np.ndarray, depth: np.ndarray, K: np.ndarray | None = None) -> n
 
 def color_image(pose: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """uint8 [h, w, 3]: a random colour for each 8 cm cell of the world that a pixel shows."""
-    cells = np.floor((_seen(pose, depth) + 7) / 0.08).astype(np.int64) % 64
+    cells = np.floor((seen_points(pose, depth) + 7) / 0.08).astype(np.int64) % 64
     table = np.random.default_rng(5).integers(0, 256, (64, 64, 64, 3), np.uint8)
     return table[cells[..., 0], cells[..., 1], cells[..., 2]]
 
 
 def place_image(pose: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """uint8 [h, w, 3]: each pixel's colour says which point of the room it shows (`places`)."""
-    points = _seen(pose, depth_image(pose, K, size), K)
+    points = seen_points(pose, depth_image(pose, K, size), K)
     return np.round((points - ROOM[0]) / (ROOM[1] - ROOM[0]) * 255).astype(np.uint8)
 
 

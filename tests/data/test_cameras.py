@@ -57,7 +57,7 @@ def metres_off(capture: Capture) -> float:
     for i, (pose, K) in enumerate(zip(capture.world_T_cam, capture.K, strict=True)):
         depth = capture.depth(i)
         assert depth is not None
-        points = box_room._seen(pose, depth, K)
+        points = box_room.seen_points(pose, depth, K)
         off = np.linalg.norm(points - box_room.places(capture.image(i)), axis=-1)
         assert (depth > 0).mean() > 0.2
         distances.append(off[depth > 0])
