@@ -184,7 +184,8 @@ def test_depth_of_unknown_unit_is_refused(tmp_path: Path) -> None:
     Image.fromarray((DEPTH * 50).astype(np.uint8)).save(path)
     with pytest.raises(TFLabError, match=r"1\.png: 8-bit depth .* give depth_scale=UNITS"):
         opened(folder).depth(1)
-    np.testing.assert_allclose(read_depth(path, 50), DEPTH, atol=0.02)
+    stated = open_capture(folder, ReadSettings(gravity=(0, 1, 0), depth_scale=50))
+    np.testing.assert_allclose(stated.depth(1), DEPTH, atol=0.02)
     np.save(tmp_path / "b.npy", (DEPTH * 1000).astype(np.float32))
     with pytest.raises(TFLabError, match=r"b\.npy: .* 2250 in the median; give depth_scale"):
         read_depth(tmp_path / "b.npy")

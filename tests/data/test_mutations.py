@@ -15,10 +15,10 @@ COUNT = 200  # damaged copies a layout
 
 @pytest.mark.parametrize("layout", list(LAYOUTS))
 def test_damaged_captures(layout: str) -> None:
-    tests = Path(__file__).parents[1]
+    path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])  # this tf_lab, too
     done = subprocess.run(
         [sys.executable, str(Path(__file__).with_name("mutate.py")), layout, str(COUNT)],
-        env={**os.environ, "PYTHONPATH": str(tests), "OMP_NUM_THREADS": "1"},
+        env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
     )

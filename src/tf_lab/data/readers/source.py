@@ -205,7 +205,7 @@ def collect(
     convention: Convention = OURS,
 ) -> SourceCapture:
     """The capture of what a reader found (see `Given` and `usable`)."""
-    given = Given(source, list(frames), skipped, down, metric, convention)
+    given = Given(source, [_sized(f) for f in frames], skipped, down, metric, convention)
     return usable(given, centred=False)  # intrinsics may still be mended
 
 
@@ -223,7 +223,7 @@ def usable(given: Given, centred: bool = True) -> SourceCapture:
     """
     source = given.source
     kept, left_out = [], list(given.skipped)
-    for frame in map(_sized, given.frames):
+    for frame in given.frames:
         reason = _why_unusable(frame, centred)
         if reason is None:
             kept.append(frame)
