@@ -23,7 +23,7 @@ from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
 from tf_lab.online.batch_selection import BatchSelection
 from tf_lab.online.selection import make_policy
-from tf_lab.progress import progress_bar
+from tf_lab.progress import Once, Pace, progress_bar
 from tf_lab.provenance import provenance
 from tf_lab.scoring import TestSettings, reconstruct
 from tf_lab.study.reuse import commits_of
@@ -92,7 +92,13 @@ class Training(L.LightningModule):
         self.sdf_weight, self.test_settings = sdf_weight, test
         frozen = optimizer.encoder_factor == 0
         self.known_maps = KnownMaps(network, maps_memory) if frozen else None
-        self.save_hyperparameters({"network": asdict(network.config), "sdf_weight": sdf_weight})
+        self.save_hyperparameters(
+            {
+                "network": asdict(network.config),
+                "optimizer": asdict(optimizer),
+                "sdf_weight": sdf_weight,
+            }
+        )
 
     def training_step(self, batch: ChunkBatch, batch_idx: int) -> Tensor:
         """L = L_c + L_f + L_o of a batch."""
@@ -155,12 +161,17 @@ def kept_by(batch: ChunkBatch) -> BatchSelection | None:
     return BatchSelection(make_policy(batch.rule, batch.draw), batch.keep)
 
 
+SHOWN = 0.5  # seconds between looks at the losses, for which a GPU has to be waited for
+
+
 class TrainingProgress(Callback):
     """A progress bar over all steps, with the losses and the time left."""
 
     def __init__(self) -> None:
         self.bar: Progress | None = None
         self.task: TaskID | None = None
+        self.pace = Pace()
+        self.shown = -SHOWN
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Start at the step the run is at."""
@@ -180,14 +191,24 @@ class TrainingProgress(Callback):
         batch_idx: int,
     ) -> None:
         """Show the newest losses."""
-        if self.bar is None or self.task is None:
+        now, step = time.monotonic(), trainer.global_step
+        early = now - self.shown < SHOWN and step < trainer.max_steps
+        if self.bar is None or self.task is None or early:
             return
+        self.shown = now
         values = trainer.callback_metrics
         names = {"train/coarse": "coarse", "train/fine": "fine", "train/occupancy": "occ"}
         text = " ".join(f"{n} {float(values[k]):.2f}" for k, n in names.items() if k in values)
         if "val/fscore" in values:
             text += f" val F {float(values['val/fscore']):.2f}"
-        self.bar.update(self.task, completed=trainer.global_step, description=f"train {text}")
+        known = getattr(pl_module, "known_maps", None)
+        work = Once(known.asked, known.encoded, known.seconds) if known is not None else Once()
+        left = self.pace.left(now, step, int(trainer.max_steps), work)
+        self.bar.update(self.task, completed=step, left=left, description=f"train {text}")
+
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Don't take a validation for a slow step."""
+        self.pace.restart()
 
     def _stop(self) -> None:
         if self.bar is not None:
