@@ -172,6 +172,7 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         ("filter=false", "Ours: w/o C2F filter"),
         ("inputs=no_depth", "Ours: w/o projected depth"),
         ("inputs=no_ray", "Ours: w/o view ray"),
+        ("encoder=efficientnet_lite0", "Ours: efficientnet_lite0 encoder"),
         # a combination that the paper does not have names both
         ("refine=false views=4", "Ours: w/o spatial ref., 4 images"),
     ],
