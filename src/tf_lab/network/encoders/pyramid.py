@@ -29,8 +29,8 @@ class Mixing(nn.Module):
         self.filter = nn.Conv2d(channels, channels, 3, padding=1, groups=channels, bias=False)
         self.norm = group_norm(channels)
         self.mix = nn.Conv2d(channels, channels, 1)
-        nn.init.zeros_(self.mix.weight)
-        nn.init.zeros_(self.mix.bias)
+        for parameter in self.mix.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, x: Tensor) -> Tensor:
         """[N, channels, h, w] to the same."""
