@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
@@ -64,6 +65,7 @@ def test_the_groups_of_the_contract_exist() -> None:
         *("fusion=transformer", "fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
         "inputs=matching",
         *("model=tiny", "model=small", "model=paper", "select=attn", "select=rnd"),
+        "encoder=efficientnet_lite0",
         *("logger=csv", "logger=tensorboard", "logger=wandb", "logger=wandb_offline"),
         *("launcher=local", "launcher=slurm", "launcher=ray"),
         *("sweep=main_ablation", "sweep=inputs", "sweep=views", "sweep=all"),
@@ -114,6 +116,7 @@ def test_paper_is_the_paper() -> None:
     )
     assert config["inputs"] == {"depth": True, "ray": True, "matching": False}
     # ResNet-18 (He et al. 2016, table 1), pre-trained on ImageNet
+    assert encoder["name"] == "resnet"
     assert (encoder["blocks"], encoder["width"], encoder["norm"]) == ([2, 2, 2, 2], 64, "batch")
     assert (encoder["stem_stride"], encoder["stem_pool"]) == (2, True)
     assert encoder["weights"] == "imagenet"
@@ -129,6 +132,21 @@ def test_paper_is_the_paper() -> None:
     assert training["sdf_weight"] == 0
     assert (config["views"], config["resolution"], config["threshold"]) == (16, 0.02, 0.5)
     assert config["keyframe_distance"] == 0.1
+
+
+@pytest.mark.parametrize("model", ["tiny", "small"])
+@pytest.mark.parametrize("encoder", [None, "efficientnet_lite0"])
+def test_a_model_takes_any_encoder(model: str, encoder: str | None) -> None:
+    """Its maps are the model's; what makes them is the encoder's."""
+    words = [] if encoder is None else [f"encoder={encoder}"]
+    config = composed("train", f"model={model}", *words, "encoder.weights=none")
+    assert config["encoder"]["name"] == (encoder or "resnet")
+    network = configuration.make_network(config)
+    maps = network.encode(torch.zeros(1, 3, 32, 48))
+    for level, stride in (("coarse", 8), ("fine", 2)):
+        channels = config["encoder"][f"{level}_channels"]
+        assert maps[level].shape == (1, channels, 32 // stride, 48 // stride)
+    assert ("width" in config["encoder"]) == (encoder is None)  # nothing of the other's is left
 
 
 def test_the_papers_schedule() -> None:

@@ -181,11 +181,18 @@ def main(cfg: DictConfig) -> None:
         for name, value in trainer.callback_metrics.items()
         if name.partition("/")[0] in validated
     }
-    info = without_places({**origin, "config": portable(config), "scores": scores})
+    info = without_places({**origin, "config": _portable(config), "scores": scores})
     with atomic_path(output) as temporary:
         save_file(encoder.state_dict(), temporary, {"info": json.dumps(info)})
     last.unlink(missing_ok=True)
     print(f"{output}: {scores}")
+
+
+def _portable(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The config without the paths of this machine: of its files, the names."""
+    real, weights = config["real"], Path(config["encoder"]["weights"]).name
+    named = {"real": real and Path(real).name, "encoder": {**config["encoder"], "weights": weights}}
+    return portable({**config, **named})
 
 
 def _encoder(config: Mapping[str, Any]) -> tuple[Encoder, float]:

@@ -10,6 +10,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file
 from tiny_jobs import Result, call, tiny_config
 
+from lite0 import made_up
 from tf_lab.configuration import make_network
 
 ROOMS = (
@@ -83,9 +84,7 @@ def test_a_trunk_from_imagenet_stays_unless_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: str, moves: bool
 ) -> None:
     """With made-up weights in ImageNet's place."""
-    import test_efficientnet
-
-    start = test_efficientnet.made_up()
+    start = made_up()
     monkeypatch.setattr(
         "tf_lab.network.encoders.EfficientNetLite0.imagenet_weights", lambda *_: start
     )

@@ -150,6 +150,18 @@ def test_augmentation_changes_images_alone_and_each_by_itself(box_scene: Path) -
     assert sum(d > 0.1 for d in differ) >= 4
 
 
+def test_jitter_moves_the_true_pixel_alone(box_scene: Path) -> None:
+    exact, moved = (
+        next(iter(PairStream([box_scene], PairSettings(4, 24, 5, jitter=jitter), 0)))
+        for jitter in (0.0, 0.7)
+    )
+    assert torch.equal(exact.uv_a, moved.uv_a)
+    off = moved.uv_b[:, :, 0] - exact.uv_b[:, :, 0]  # 4 x 24 points, 2 coordinates
+    assert float(off.std()) == pytest.approx(0.7, rel=0.2)
+    assert float(off.mean().abs()) < 0.2
+    assert torch.equal(exact.uv_b[:, :, 1:], moved.uv_b[:, :, 1:])
+
+
 def test_worker_processes_give_the_same_batches(box_scene: Path) -> None:
     loader = DataLoader(PairStream([box_scene], SETTINGS, 0), batch_size=None, num_workers=2)
     for a, b in zip(batches(box_scene, 3), loader, strict=False):

@@ -207,6 +207,7 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         ("inputs=no_ray", "Ours: w/o view ray"),
         # ours, not the paper's
         ("inputs=matching", "Ours: + matching"),
+        ("encoder=efficientnet_lite0", "Ours: efficientnet_lite0 encoder"),
         # a combination that the paper does not have names both
         ("refine=false views=4", "Ours: w/o spatial ref., 4 images"),
     ],

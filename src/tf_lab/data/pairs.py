@@ -148,7 +148,8 @@ class PairStream(IterableDataset[PairBatch]):
         """Random pixels of frame a with depth: world points [M, 3] and pixels [M, 2]."""
         depth = scene.depth(a)
         if depth is None:
-            raise TFLabError(f"{scene.name}: pre-training needs depth, this scene has none")
+            where = scene.directory if isinstance(scene, Scene) else scene.name
+            raise TFLabError(f"{where}: pre-training needs depth, this scene has none")
         sparse = np.where(rng.random(depth.shape) < 0.15, depth, 0)
         rows, columns = np.nonzero(sparse)
         points = unproject(
