@@ -115,6 +115,7 @@ def make_habits(flat: Flat, space: FreeSpace, phone: Phone) -> Habits:
     return Habits(
         (phone.height, CHEST, EYES),
         reach,
+        tuple(room.rects[0] for room in flat.plan.rooms),
         np.array(tables).reshape(-1, 3),
         np.array(stands).reshape(-1, 2),
     )
