@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 
 from tf_lab.data.flats.contents import furnish_room, tops
 from tf_lab.data.flats.phone import Filming, Phone, make_phone, motion_at
@@ -74,11 +73,6 @@ def _light(room: Plan, placed: list[Placed], rng: np.random.Generator) -> Lighti
         if not any(piece.contains(beside).any() for piece in tall):
             break
     return lighting
-
-
-def flat_mesh(seed: int, settings: RoomSettings) -> trimesh.Trimesh:
-    """The flat's surface (metres, z up, floor at 0), exactly what `generate_flat` renders."""
-    return make_flat(seed).geometry.mesh()
 
 
 def generate_flat(seed: int, settings: RoomSettings) -> Iterator[Frame]:

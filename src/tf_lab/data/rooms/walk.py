@@ -128,12 +128,13 @@ def _tour(
 ) -> np.ndarray:
     """Grid cells' centres [N, 2] of a walk that keeps going where it has not been for long.
 
-    Now and then it goes where it can look at something from near instead.
+    It goes to each room first, then now and then where it can look at something from near.
     """
     centres, stands = space.centres(mask), habits.stands
     room = np.zeros(len(centres))
     for number, rect in enumerate(habits.rooms, start=1):
         room[((centres >= rect[:2]) & (centres <= rect[2:])).all(axis=1)] = number
+    waiting = room > 0
     cells = np.argwhere(mask)
     graph = _graph(mask, cells, 1 / np.minimum(space.clearance[mask], 0.5))
     here, walked = int(rng.integers(len(cells))), 0.0
@@ -141,8 +142,8 @@ def _tour(
     while walked < 1.3 * length:  # smoothing shortens it
         ahead = np.linalg.norm(cells - cells[here], axis=1) * CELL
         score = unseen + 0.3 * np.minimum(ahead, 3) + rng.uniform(0, 0.6, len(cells))
-        goal = int(np.argmax(score))
-        if len(stands) and rng.random() < STOPS:
+        goal = int(np.argmax(score + 10 * waiting))
+        if len(stands) and not waiting.any() and rng.random() < STOPS:
             stand = stands[rng.integers(len(stands))]
             goal = int(np.argmin(((centres - stand) ** 2).sum(axis=1)))
         before = dijkstra(graph, directed=False, indices=goal, return_predecessors=True)[1]
@@ -151,6 +152,7 @@ def _tour(
             walked += float(np.linalg.norm(cells[after] - cells[here])) * CELL
             here = after
             path.append(here)
+            waiting &= room != room[here]
             gap = np.linalg.norm(cells - cells[here], axis=1) * CELL + APART * (room != room[here])
             unseen = np.minimum(unseen + 0.004, gap)
     return space.low + (cells[path] + 0.5) * CELL
