@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_jobs import TINY, call, environment, start
+from tiny_jobs import TINY, call, environment, start, tiny_config
 
 from layouts import room_frames, seven_scenes
+from tf_lab.data.scene import Scene
+from tf_lab.datasets import scene_directory
 
 SETTINGS = ("data=captures", "data.width=48", "data.height=36", "data.keyframe_distance=0")
 
@@ -109,6 +111,26 @@ def test_pictures_of_rooms(cache: Path) -> None:
         (picture,) = cache.glob(f"rooms-*/pictures/{name}.png")
         with Image.open(picture) as image:
             assert np.asarray(image.convert("L")).std() > 10
+
+
+def test_flats_are_a_data_group_like_rooms(cache: Path) -> None:
+    """Prepared, with how many views their points have, and found again by the name of a scene."""
+    arguments = [
+        "data=flats",
+        *(word for word in TINY if word.startswith("data.")),
+        "data.frames=4",
+    ]
+    arguments.append("data.test_frames=12")
+    result = call("prepare", *arguments, "splits=[test]")
+    assert (result.status, result.err) == (0, "")
+    (flat,) = cache.glob("flats-*/test/flat_2000000")
+    assert f"test: 1 flats in {flat.parent}" in result.out
+    frames = len(Scene(flat))
+    assert frames % 12 == 0
+    assert f"flat_2000000: {frames} frames, median point seen by" in result.out
+    config = tiny_config(*arguments, f"data.root={cache}")
+    assert scene_directory(config, "flat_2000000") == flat
+    assert set(config["data"]["version"]) == {"groundtruth", "flats"}
 
 
 def test_a_test_scene_that_is_not_there_is_told_before_the_training(captures: Path) -> None:

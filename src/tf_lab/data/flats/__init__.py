@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 
 from tf_lab.data.flats.contents import furnish_room, tops
 from tf_lab.data.flats.phone import Filming, Phone, make_phone, motion_at
@@ -76,11 +75,6 @@ def _light(room: Plan, placed: list[Placed], rng: np.random.Generator) -> Lighti
     return lighting
 
 
-def flat_mesh(seed: int, settings: RoomSettings) -> trimesh.Trimesh:
-    """The flat's surface (metres, z up, floor at 0), exactly what `generate_flat` renders."""
-    return make_flat(seed).geometry.mesh()
-
-
 def generate_flat(seed: int, settings: RoomSettings) -> Iterator[Frame]:
     """Film the flat of a seed: the same seed and settings give the same frames."""
     flat = make_flat(seed)
@@ -115,6 +109,7 @@ def make_habits(flat: Flat, space: FreeSpace, phone: Phone) -> Habits:
     return Habits(
         (phone.height, CHEST, EYES),
         reach,
+        tuple(room.rects[0] for room in flat.plan.rooms),
         np.array(tables).reshape(-1, 3),
         np.array(stands).reshape(-1, 2),
     )

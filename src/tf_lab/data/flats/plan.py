@@ -10,7 +10,7 @@ import numpy as np
 from tf_lab.data.rooms.layout import Opening, Plan, Rect, Wall, cut_openings
 
 Rng = np.random.Generator
-COUNTS = {1: 0.05, 2: 0.15, 3: 0.3, 4: 0.3, 5: 0.2}
+COUNTS = {1: 0.15, 2: 0.35, 3: 0.28, 4: 0.14, 5: 0.08}
 """How many rooms, a corridor included, and how often."""
 CORNER = 0.3  # metres between a passage and the nearest corner
 
@@ -84,7 +84,7 @@ def _kinds(rng: Rng) -> list[str]:
 
 def _divided(rng: Rng, count: int) -> list[Rect]:
     """A rectangle, halved across its longer side again and again: the largest part first."""
-    area = rng.uniform(24, 34) if count == 1 else count * rng.uniform(11, 16)
+    area = rng.uniform(24, 34) if count == 1 else count * rng.uniform(10, 14)
     width = np.sqrt(area * rng.uniform(1.0, 1.5))
     cells: list[Rect] = [(0.0, 0.0, float(width), float(area / width))]
     while len(cells) < count:

@@ -80,16 +80,19 @@ class Arranger:
         points = across[:, None] + grid[:, None] * (corners[3] - corners[0])
         return bool(self._plan.inside(points).all())
 
-    def at_wall(self, piece: Piece) -> tuple[Wall, float] | None:
-        """Against a random wall (not before windows if too high); the wall and where along it."""
+    def at_wall(self, piece: Piece, beside: float = 0.03) -> tuple[Wall, float] | None:
+        """Against a random wall (not before windows if too high); the wall and where along it.
+
+        ``beside`` (m) is left free to the wall's ends.
+        """
         for _ in range(30):
             number = int(self._rng.integers(len(self._plan.walls)))
             wall = self._plan.walls[number]
-            room = wall.length - piece.width - 0.06
+            room = wall.length - piece.width - 2 * beside
             if room <= 0:
                 continue
             corner = self._rng.random() < 0.35  # furniture likes corners
-            x = 0.03 + room * float(self._rng.choice([0, 1]) if corner else self._rng.random())
+            x = beside + room * float(self._rng.choice([0, 1]) if corner else self._rng.random())
             span = [x, x + piece.width, 0.0, piece.height]
             if _clash(span, self._taken[number]):
                 continue
@@ -230,7 +233,7 @@ def furnish(
     rng = kit.rng
     arranger = Arranger(kit, plan)
     for piece in dividers:
-        arranger.at_wall(piece)
+        arranger.at_wall(piece, beside=0.6)
     for maker in theme or THEMES[str(rng.choice(list(THEMES)))]:
         arranger.group(maker(rng))
     for _ in range(14):

@@ -11,11 +11,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from tf_lab.data.rooms.footprint import CELL, FreeSpace
+from tf_lab.data.rooms.layout import Rect
 
 Rng = np.random.Generator
 STEP = 0.12  # the keyframe measure between frames
 CLEAR = 0.4  # metres between the camera and what stands or hangs beside it
 STRIDE = 0.06  # metres of path between decisions where to look
+APART = 8.0  # metres that another room is farther away than it is
 STOPS = 0.35  # the share of ways that lead to something to look at from near
 NEAR = 0.5  # metres from where one stands to look at something from near: there one does
 CONE = np.cos(np.radians(23))  # what counts as seen: about the image's inscribed cone
@@ -45,12 +47,14 @@ class Habits:
     Attributes:
         height: usual, lowest and highest (m).
         reach: [R, 2] places (m) that the walk must be able to get to.
+        rooms: floors, each of which wants to be walked through.
         tables: [T, 3] places (m) to look at from near.
         stands: [T, 2] where to stand for that.
     """
 
     height: tuple[float, float, float] = (1.5, 1.3, 1.7)
     reach: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    rooms: tuple[Rect, ...] = ()
     tables: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     stands: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
@@ -108,7 +112,7 @@ def _path(space: FreeSpace, length: float, rng: Rng, habits: Habits) -> np.ndarr
         if margin < 0.15:
             raise ValueError("there is no room to walk")
         mask = space.walkable(margin)
-    tour = _tour(space, mask, length, rng, habits.stands)
+    tour = _tour(space, mask, length, rng, habits)
     path = gaussian_filter1d(tour, 4.0, axis=0, mode="nearest")
     for _ in range(12):  # smoothing cut corners: move away from them and smooth a little
         close = space.at(path) < margin
@@ -120,12 +124,17 @@ def _path(space: FreeSpace, length: float, rng: Rng, habits: Habits) -> np.ndarr
 
 
 def _tour(
-    space: FreeSpace, mask: np.ndarray, length: float, rng: Rng, stands: np.ndarray
+    space: FreeSpace, mask: np.ndarray, length: float, rng: Rng, habits: Habits
 ) -> np.ndarray:
     """Grid cells' centres [N, 2] of a walk that keeps going where it has not been for long.
 
-    Now and then it goes to one of the ``stands`` [T, 2] instead.
+    It goes to each room first, then now and then where it can look at something from near.
     """
+    centres, stands = space.centres(mask), habits.stands
+    room = np.zeros(len(centres))
+    for number, rect in enumerate(habits.rooms, start=1):
+        room[((centres >= rect[:2]) & (centres <= rect[2:])).all(axis=1)] = number
+    waiting = room > 0
     cells = np.argwhere(mask)
     graph = _graph(mask, cells, 1 / np.minimum(space.clearance[mask], 0.5))
     here, walked = int(rng.integers(len(cells))), 0.0
@@ -133,17 +142,18 @@ def _tour(
     while walked < 1.3 * length:  # smoothing shortens it
         ahead = np.linalg.norm(cells - cells[here], axis=1) * CELL
         score = unseen + 0.3 * np.minimum(ahead, 3) + rng.uniform(0, 0.6, len(cells))
-        goal = int(np.argmax(score))
-        if len(stands) and rng.random() < STOPS:
+        goal = int(np.argmax(score + 10 * waiting))
+        if len(stands) and not waiting.any() and rng.random() < STOPS:
             stand = stands[rng.integers(len(stands))]
-            goal = int(np.argmin(((space.centres(mask) - stand) ** 2).sum(axis=1)))
+            goal = int(np.argmin(((centres - stand) ** 2).sum(axis=1)))
         before = dijkstra(graph, directed=False, indices=goal, return_predecessors=True)[1]
         while here != goal:
             after = int(before[here])
             walked += float(np.linalg.norm(cells[after] - cells[here])) * CELL
             here = after
             path.append(here)
-            gap = np.linalg.norm(cells - cells[here], axis=1) * CELL
+            waiting &= room != room[here]
+            gap = np.linalg.norm(cells - cells[here], axis=1) * CELL + APART * (room != room[here])
             unseen = np.minimum(unseen + 0.004, gap)
     return space.low + (cells[path] + 0.5) * CELL
 
