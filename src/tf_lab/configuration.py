@@ -65,6 +65,7 @@ def chunk_settings(config: Config) -> ChunkSettings:
         points=t["points"],
         near_share=t["near_share"],
         coverage=t["coverage"],
+        seen_by=t["seen_by"],
         augment=t["augment"],
     )
 

@@ -127,7 +127,7 @@ def test_a_bad_capture_by_a_process(tmp_path: Path, checkpoint: Path) -> None:
         (("format=martian",), ("format=martian", "known are")),
         (("views=0",), ("views=0", "at least one view")),
         (("resolution=0.03",), ("resolution=0.03", "must be a multiple")),
-        (("select.policy=best",), ("select.policy=best", "choose attention or random")),
+        (("select.policy=best",), ("select.policy=best", "choose one of attention, random")),
         (("gravity=[0,0,0]",), ("gravity",)),
         pytest.param(
             ("device=cuda",),

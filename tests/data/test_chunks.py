@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 
 import box_room
 from small_shards import same
-from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream
+from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream, choose_frames
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkSettings, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
@@ -354,3 +354,17 @@ def test_nothing_to_train_on(box_scene: Path, tmp_path: Path) -> None:
     missing = ChunkSampler([tmp_path / "gone"], SMALL, NEAR, FAR)
     with pytest.raises(TFLabError, match=r"gone.*prepare"):
         missing.record(0, 0)
+
+
+def test_frames_that_see_most_fill_up_where_too_few_see_enough() -> None:
+    share = np.array([0.0, 0.5, 0.1, 0.9, 0.2, 0.45, 0.3, 0.0])
+    settings = ChunkSettings(images=5, coverage=0.4, seen_by=3)
+    rng = np.random.default_rng(0)
+    chosen = [choose_frames(share, settings, rng) for _ in range(20)]
+    assert all(sorted(frames) == [1, 3, 4, 5, 6] for frames in chosen)  # type: ignore[type-var]
+    assert len({tuple(frames) for frames in chosen}) > 10  # type: ignore[arg-type]
+    assert choose_frames(share, replace(settings, seen_by=4), rng) is None
+    assert choose_frames(share, replace(settings, images=9), rng) is None  # of 8 frames
+    few = [choose_frames(share, replace(settings, images=2), rng) for _ in range(40)]
+    pairs = itertools.combinations([1, 3, 5], 2)  # those that see enough, any of them
+    assert {tuple(sorted(frames)) for frames in few} == set(pairs)  # type: ignore[type-var]

@@ -15,7 +15,12 @@ from online.scenes import (
 from tf_lab.data.scene import Scene
 from tf_lab.online.eager import EagerReconstructor
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.selection import (
+    AttentionSelection,
+    DiverseSelection,
+    RandomSelection,
+    SelectionPolicy,
+)
 
 
 @pytest.mark.parametrize(
@@ -26,6 +31,7 @@ from tf_lab.online.selection import AttentionSelection, RandomSelection, Selecti
         (AttentionSelection(), 16, "float32", True),
         (AttentionSelection(), 3, "float32", True),
         (RandomSelection(4), 3, "float32", False),
+        (DiverseSelection(1), 3, "float16", True),
     ],
 )
 def test_lazy_equals_eager(

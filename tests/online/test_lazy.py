@@ -22,7 +22,12 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK
 from tf_lab.network.fusion import weights_from_logits
 from tf_lab.online import Reconstructor
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.selection import (
+    AttentionSelection,
+    DiverseSelection,
+    RandomSelection,
+    SelectionPolicy,
+)
 
 FIRST = (0, 0, 0)
 REGION = ([0.2, 0.3, 0.1], [1.2, 1.1, 1.3])  # within one chunk
@@ -211,7 +216,7 @@ def test_view_weights(tiny_network: Factory, scene: Scene) -> None:
     assert (nowhere[1] == 0).all()
 
 
-@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(5)])
+@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(5), DiverseSelection(6)])
 def test_save_and_go_on(
     tiny_network: Factory, scene: Scene, tmp_path: Path, policy: SelectionPolicy
 ) -> None:
@@ -223,6 +228,7 @@ def test_save_and_go_on(
     half.save(path)
     r = add(Reconstructor.load(path, network), scene, FRAMES[3:])
     assert r.settings == half.settings
+    assert (r.policy.name, r.policy.seed) == (policy.name, policy.seed)
     assert_same_surface(r.mesh(), expected.mesh())
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     with pytest.raises(TFLabError, match="another network"):

@@ -26,7 +26,12 @@ from online.scenes import (
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.selection import (
+    AttentionSelection,
+    DiverseSelection,
+    RandomSelection,
+    SelectionPolicy,
+)
 from tf_lab.online.settings import ReconstructionSettings
 
 
@@ -176,7 +181,7 @@ def test_test_time_computes_what_training_computes(
         (AttentionSelection(), {}),
         (RandomSelection(3), {"refine": False}),
         (RandomSelection(1), {"filter": False}),
-        (RandomSelection(2), {"matching": True}),
+        (DiverseSelection(2), {"matching": True}),
     ],
 )
 def test_sparse_equals_dense(

@@ -85,6 +85,30 @@ class ChunkScene:
         return share
 
 
+def choose_frames(
+    share: np.ndarray, settings: ChunkSettings, rng: np.random.Generator
+) -> np.ndarray | None:
+    """Random frames of those that see enough of a chunk, filled up with those that see most.
+
+    Args:
+        share: [N], of the chunk that each frame sees.
+        settings: how many frames, and what is enough.
+        rng: of the choice.
+
+    Returns:
+        Frames [images], in random order; None if fewer than ``seen_by`` see enough.
+    """
+    s = settings
+    enough = np.flatnonzero(share >= s.coverage)
+    if len(enough) < min(s.seen_by, s.images) or len(share) < s.images:
+        return None
+    if len(enough) >= s.images:
+        return rng.choice(enough, s.images, replace=False)
+    rest = rng.permutation(np.flatnonzero(share < s.coverage))
+    rest = rest[np.argsort(-share[rest], kind="stable")]
+    return rng.permutation(np.concatenate([enough, rest[: s.images - len(enough)]]))
+
+
 def _frustum_sides(K: Tensor, size: tuple[int, int]) -> Tensor:
     """Unit normals [N, 4, 3], inwards, of the planes through the camera and the image's edges."""
     low, high = K.new_tensor([0, 0, 0.5]), [n - 0.5 for n in size]
@@ -129,7 +153,7 @@ class ChunkSampler:
                 return record
         raise TFLabError(
             f"no chunk with {self.settings.images} images among {ATTEMPTS} draws; use fewer "
-            "(training.images) or less training.coverage"
+            "(training.images, training.seen_by) or less training.coverage"
         )
 
     def draw(self, opened: ChunkScene, rng: np.random.Generator) -> ChunkRecord | None:
@@ -138,10 +162,9 @@ class ChunkSampler:
         chunk_T_world = opened.place(rng, s.augment)
         world_T_chunk = invert_pose(chunk_T_world)
         share = opened.coverage(world_T_chunk, self.near, self.far)
-        visible = np.flatnonzero(share >= s.coverage)
-        if len(visible) < s.images:
+        chosen = choose_frames(share, s, rng)
+        if chosen is None:
             return None
-        chosen = rng.choice(visible, s.images, replace=False)
         candidates = torch.from_numpy(rng.random((8 * s.points, 3), np.float32)) * CHUNK
         to_world = world_T_chunk.float()
         distance = truth.surface_distance(transform(to_world, torch.cat([_VOXELS, candidates])))

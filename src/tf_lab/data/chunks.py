@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -37,7 +37,8 @@ class ChunkSettings:
             weights by name, of which one is drawn a step.
         points: occupancy samples a chunk (1000 in the paper).
         near_share: share of them within 10 cm of the surface (0.8 in the paper).
-        coverage: least share of the chunk that an image must see.
+        coverage: least share of the chunk that an image should see.
+        seen_by: how many images must; others fill up where there are no more, the best first.
         augment: rotate the chunk about the vertical by a random angle.
     """
 
@@ -48,6 +49,7 @@ class ChunkSettings:
     points: int = 1000
     near_share: float = 0.8
     coverage: float = 0.3
+    seen_by: int = 8
     augment: bool = True
 
 
@@ -120,7 +122,7 @@ class ChunkBatch:
 
     def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
         """The batch on another device (Lightning calls this)."""
-        moved = {
+        moved: dict[str, Any] = {
             name: value.to(device, non_blocking=non_blocking)
             for name, value in vars(self).items()
             if isinstance(value, Tensor)

@@ -21,6 +21,7 @@ TRAINING_KEYS = (
     "points",
     "near_share",
     "coverage",
+    "seen_by",
     "augment",
     "sdf_weight",
 )
@@ -42,8 +43,9 @@ def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     if not config["inputs"].get("matching"):  # old trainings had no choice
         identity["inputs"] = {k: v for k, v in config["inputs"].items() if k != "matching"}
     training = config["training"]
-    if "rules" not in training:  # old trainings: a share of steps by attention, else the first
-        training = {**training, "rules": {"ranked": training["ranked"]}}
+    if "rules" not in training:  # old: a share of steps by attention, chunks that all images see
+        old = {"rules": {"ranked": training["ranked"]}, "seen_by": training["images"]}
+        training = {**old, **training}
     identity["training"] = {key: training[key] for key in TRAINING_KEYS}
     apart = {*DATA_PLACES, *DATA_AT_TEST, *DATA_AT_VALIDATION}
     identity["data"] = {k: v for k, v in config["data"].items() if k not in apart}
