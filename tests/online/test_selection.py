@@ -14,7 +14,9 @@ from tf_lab.errors import TFLabError
 from tf_lab.online.selection import (
     AttentionSelection,
     Candidates,
+    DiverseSelection,
     RandomSelection,
+    angle_to_nearest,
     make_policy,
     slots,
     uniform,
@@ -160,3 +162,68 @@ def test_policies_by_name() -> None:
     assert policy.seed == 7
     with pytest.raises(TFLabError, match=r"select\.policy=best"):
         make_policy("best", 0)
+
+
+def held_after(policy: DiverseSelection, order: list[int], views: int, logits: Tensor) -> Tensor:
+    """Frames [P, K] of voxels that see frames in an order, of logits [P, N] and many directions."""
+    keys = lattice(len(logits))
+    centers = torch.randn(len(logits), logits.shape[1], 3, generator=torch.manual_seed(3))
+    held = torch.zeros(len(logits), views + 1, dtype=torch.int64)
+    for count, frame in enumerate(order):
+        held[:, views] = frame
+        index = held.unsqueeze(-1)
+        candidates = Candidates(
+            torch.full((len(logits),), count),
+            keys,
+            held,
+            torch.take_along_dim(logits.unsqueeze(-1), index, 1),
+            torch.take_along_dim(centers, index, 1),
+        )
+        slot = slots(policy, candidates)
+        held[slot >= 0, slot[slot >= 0]] = frame
+    return held[:, :views].sort(1).values
+
+
+def test_diverse_views_are_drawn_by_tempered_attention() -> None:
+    """One view a voxel, directions left out: the Gumbel-max trick draws by softmax weights."""
+    logits = torch.tensor([0.0, 1.0, -1.0, 2.0, 0.5])
+    for share in (0.0, 0.3, 1.0):
+        policy = DiverseSelection(2, attention=share, spread=0)
+        held = held_after(policy, [*range(5)], 1, logits.expand(8000, 5))
+        count = torch.bincount(held.flatten(), minlength=5).double()
+        expected = 8000 * torch.softmax(share * logits, 0).double()
+        assert ((count - expected) ** 2 / expected).sum() < chi2.ppf(0.999, 4)
+
+
+def test_diverse_views_do_not_depend_on_when_they_came() -> None:
+    logits = torch.randn(500, 9, generator=torch.Generator().manual_seed(1))
+    policy = DiverseSelection(0, spread=0)
+    first = held_after(policy, [*range(9)], 4, logits)
+    assert torch.equal(held_after(policy, [3, 8, 1, 0, 7, 2, 6, 5, 4], 4, logits), first)
+    assert len(first.unique(dim=0)) > 60  # of 126 subsets: neighbours hold other ones
+
+
+def test_of_two_directions_alike_one_is_dropped() -> None:
+    """As soon as directions are all that counts, whatever the new view is."""
+    angles = torch.tensor([[0.0, 1.0, 1.01, 2.0], [0.5, 1.5, 2.5, 2.51]])
+    centers = torch.stack([angles.cos(), angles.sin(), torch.zeros_like(angles)], -1)
+    policy = DiverseSelection(0, attention=0, spread=1e3)
+    candidates = Candidates(
+        torch.tensor([7, 7]),
+        lattice(2),
+        torch.arange(4).expand(2, 4),
+        torch.zeros(2, 4, 1),
+        centers * torch.tensor([[[1.0]], [[3.0]]]),  # nearer or farther: the same directions
+    )
+    first, second = policy.drop(candidates).tolist()
+    assert first in (1, 2)
+    assert second in (2, 3)
+
+
+def test_angles_to_the_nearest_other_direction() -> None:
+    degrees = torch.tensor([[0.0, 10.0, 40.0, 180.0]]).deg2rad()
+    centers = torch.stack([degrees.cos(), degrees.sin(), torch.zeros_like(degrees)], -1) * 2
+    found = (
+        angle_to_nearest(centers).rad2deg() - angle_to_nearest(centers[:, [0, 0]]).rad2deg()[0, 0]
+    )
+    torch.testing.assert_close(found, torch.tensor([[10.0, 10, 30, 140]]), atol=0.1, rtol=0)

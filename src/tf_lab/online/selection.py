@@ -105,24 +105,29 @@ class RandomSelection:
 class DiverseSelection:
     """A random subset that attention prefers and that looks from many sides (ours).
 
-    Drop, of the K + 1 measurements, the one of the lowest sum of its logit, a Gumbel variate and
-    the logarithm of the angle to the nearest other viewing direction. Without the angle this draws
-    without replacement by softmax weights (Gumbel top-k, Kool et al. 2019). The variates are hashed
-    from (seed, voxel, frame), so that neighbouring voxels keep other views, and their 3D CNN meets
-    more of the scene's.
+    Of the K + 1 measurements the one of the lowest score goes: a share of its logit, plus a Gumbel
+    variate, plus a share of the logarithm of the angle to the nearest other viewing direction.
+    Without the angle this draws without replacement by tempered softmax weights (Gumbel top-k,
+    Kool et al. 2019). The variates are hashed from (seed, voxel, frame): neighbouring voxels keep
+    other views, and their 3D CNN meets more of them. Costs O(K^2) small products a voxel.
+
+    Args:
+        seed: of the variates.
+        attention: share of the logits, averaged over heads; 0: none, 1: as weights are made.
+        spread: share of the angle's logarithm; 0: none.
     """
 
     name = "diverse"
     needs_logits, needs_centers = True, True
 
-    def __init__(self, seed: int = 0, spread: float = 1.0) -> None:
-        self.seed, self.spread = seed, spread
+    def __init__(self, seed: int = 0, attention: float = 0.3, spread: float = 0.3) -> None:
+        self.seed, self.attention, self.spread = seed, attention, spread
 
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`."""
         _, keys, frames, logits, centers = candidates
         assert logits is not None and centers is not None
-        score = logits.float().mean(-1) + gumbel(self.seed, keys, frames)
+        score = self.attention * logits.float().mean(-1) + gumbel(self.seed, keys, frames)
         return (score + self.spread * angle_to_nearest(centers).log()).argmin(dim=1)
 
 
