@@ -11,6 +11,7 @@ from tf_lab.checkpoint import shipped_encoder
 from tf_lab.commands import device_of
 from tf_lab.data.chunks import ChunkSettings
 from tf_lab.errors import TFLabError
+from tf_lab.initial import initial_path, initialise
 from tf_lab.network.encoders import Encoder, load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
 from tf_lab.online.selection import make_policy
@@ -22,10 +23,25 @@ Config = Mapping[str, Any]
 
 
 def make_network(config: Config) -> Network:
-    """The network, its encoder initialised as ``encoder.weights`` says."""
+    """The network, initialised as ``init`` says, or its encoder as ``encoder.weights`` does."""
+    network = build_network(config)
+    start = initial_path(config)
+    if start is not None:
+        initialise(network, start)
+    else:
+        initialise_encoder(network.encoder, config, config["encoder"]["weights"])
+    return network
+
+
+def build_network(config: Config) -> Network:
+    """The network with random weights.
+
+    Raises:
+        TFLabError: it cannot be.
+    """
     model = {k: v for k, v in config["model"].items() if k != "name"}
     try:
-        network = Network(
+        return Network(
             NetworkConfig(
                 **model,
                 encoder=encoder_settings(config),
@@ -39,8 +55,6 @@ def make_network(config: Config) -> Network:
         )
     except TypeError as error:
         raise TFLabError(f"model, encoder: {error}; see the files in conf/model") from error
-    initialise_encoder(network.encoder, config, config["encoder"]["weights"])
-    return network
 
 
 def encoder_settings(config: Config) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,14 @@ import torch
 
 from tf_lab.configuration import chunk_settings
 from tf_lab.data import groundtruth
-from tf_lab.data.captures import ImportSettings, find_captures, names_of, prepare_captures
+from tf_lab.data.captures import (
+    ImportSettings,
+    find_captures,
+    names_of,
+    prepare_captures,
+    prepared_scenes,
+    scene_of,
+)
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import ChunkSource
 from tf_lab.data.embedded import EMBEDDED, FIRST_SEED, EmbeddedSet, EmbeddedSplit
@@ -21,6 +30,7 @@ from tf_lab.data.scannet_splits import find_scene, split_scenes
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardSource
 from tf_lab.errors import TFLabError
+from tf_lab.initial import initial_digests
 
 Config = Mapping[str, Any]
 log = logging.getLogger(__name__)
@@ -37,7 +47,8 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
     d = config["data"]
     embedded = embedded_set(config)
     if embedded is None:
-        return _prepare_captures(config, splits)
+        found = captured_scenes(config, splits)
+        return {split: list(scenes.values()) for split, scenes in found.items()}
     size = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
     frames = {"train": d["frames"], "val": d["test_frames"], "test": d["test_frames"]}
     wanted = {
@@ -46,12 +57,18 @@ def prepare_data(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path
     return embedded.prepare(Path(d["root"]).expanduser(), wanted, d["workers"])
 
 
-def scene_directory(config: Config, name: str) -> Path:
-    """Where a test scene of a resolved config lies, if it has been made on this machine."""
+def scene_directory(config: Config, name: str, digest: str | None) -> Path:
+    """Where a test scene of a resolved config lies, if it has been made on this machine.
+
+    Args:
+        config: of a run.
+        name: of the scene.
+        digest: of a capture's sources, as the run has it.
+    """
     d = config["data"]
     embedded = EMBEDDED.get(d["name"])
     if embedded is None:
-        return scenes_root(config) / scene_settings(config).key / name
+        return scenes_root(config) / scene_settings(config).key / name / (digest or "unknown")
     index = int(name.rpartition("_")[2]) - FIRST_SEED["test"]
     settings = RoomSettings(d["width"], d["height"], d["test_frames"])
     return embedded.directory(Path(d["root"]).expanduser(), "test", index, settings)
@@ -65,7 +82,8 @@ def has_scenes(config: Config, split: str) -> bool:
     """
     if embedded_set(config):
         return config["data"][f"{split}_size"] > 0
-    return bool(capture_sources(config, (split,))[split])
+    known = config.get("scene_digests") or capture_sources(config, (split,))
+    return bool(known[split])
 
 
 def embedded_set(config: Config) -> EmbeddedSet | None:
@@ -107,10 +125,14 @@ def training_sampler(config: Config) -> ChunkSampler:
 
 
 def identified(config: Config) -> Config:
-    """A config that says what shapes a run beside the settings: versions, shards, devices.
+    """A config that says what shapes a run beside the settings: versions, data, files, devices.
+
+    The scenes of captures are made first if they are missing or outdated: what is in them is in
+    ``digests``, which go into a run's identity, and the run uses the scenes of ``scene_digests``,
+    whatever happens to the captures meanwhile.
 
     Raises:
-        TFLabError: the shards cannot be opened.
+        TFLabError: the shards cannot be opened, the scenes not be made, or a file not be read.
     """
     data, trainer = dict(config["data"]), dict(config["trainer"])
     data["version"] = {"groundtruth": groundtruth.VERSION}
@@ -121,11 +143,34 @@ def identified(config: Config) -> Config:
     if trainer["devices"] in ("auto", -1, "-1"):
         gpus = torch.cuda.device_count() if trainer["accelerator"] != "cpu" else 0
         trainer["devices"] = max(1, gpus)
-    return {**config, "data": data, "trainer": trainer}
+    digests = initial_digests(config)
+    used: Config = {}
+    if embedded_set(config) is None:
+        splits = ("val", "test") if data.get("urls") else ("train", "val", "test")
+        scenes = captured_scenes(config, splits)
+        table = {s: {name: d.name for name, d in scenes[s].items()} for s in splits}
+        key = scene_settings(config).key
+        digests |= {s: _digest([key, *table[s].items()]) for s in ("train", "test") if s in table}
+        used = {"scene_digests": table}
+    return {**config, **used, "data": data, "trainer": trainer} | (
+        {"digests": digests} if digests else {}
+    )
 
 
-def _prepare_captures(config: Config, splits: tuple[str, ...]) -> dict[str, list[Path]]:
+def _digest(values: Sequence[Any]) -> str:
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:16]
+
+
+def captured_scenes(config: Config, splits: tuple[str, ...]) -> dict[str, dict[str, Path]]:
+    """Scene directories of captures by name, made first if they are missing or outdated.
+
+    Raises:
+        TFLabError: none of a split can be prepared.
+    """
     d = config["data"]
+    if "scene_digests" in config:
+        folder, table = scenes_root(config) / scene_settings(config).key, config["scene_digests"]
+        return {s: {name: folder / name / x for name, x in table[s].items()} for s in splits}
     chosen = capture_sources(config, splits)
     sources = {name: path for split in chosen.values() for name, path in split.items()}
     memory = round(d["memory"] * 2**30)
@@ -135,7 +180,7 @@ def _prepare_captures(config: Config, splits: tuple[str, ...]) -> dict[str, list
     for name, reason in prepared.failed.items():
         log.warning("scene %s is left out: %s", name, reason)
     found = {
-        split: [prepared.scenes[name] for name in names if name in prepared.scenes]
+        split: {name: prepared.scenes[name] for name in names if name in prepared.scenes}
         for split, names in chosen.items()
     }
     for split, scenes in found.items():
@@ -171,7 +216,7 @@ def capture_sources(config: Config, splits: tuple[str, ...]) -> dict[str, dict[s
     limit = {"train": d["size"], "val": d["val_size"], "test": d["test_size"]}
     if d["name"] == "scannet":
         return {s: _scannet_scenes(config, root, s, limit[s]) for s in splits}
-    found = find_captures(root)
+    found = _find_captures(config, root)
     names = {split: names_of(d[split] or [], list(found), f"data.{split}") for split in limit}
     held_out = {*names["val"], *names["test"]}
     if d["train"] is None:
@@ -182,6 +227,19 @@ def capture_sources(config: Config, splits: tuple[str, ...]) -> dict[str, dict[s
     return {split: {name: found[name] for name in names[split][: limit[split]]} for split in splits}
 
 
+def _find_captures(config: Config, root: Path) -> dict[str, Path]:
+    """The captures in the root; of a root without any, those that scenes were prepared of."""
+    try:
+        return find_captures(root)
+    except TFLabError:
+        folder = scenes_root(config) / scene_settings(config).key
+        found = {name: root / name for name in prepared_scenes(folder)}
+        if not found:
+            raise
+        log.warning("no capture in %s: the scenes prepared before are used, in %s", root, folder)
+        return found
+
+
 def _scannet_scenes(config: Config, root: Path, split: str, limit: int | None) -> dict[str, Path]:
     """The scenes of a split that are prepared or there to be; says how many are not."""
     prepared = scenes_root(config) / scene_settings(config).key
@@ -189,9 +247,12 @@ def _scannet_scenes(config: Config, root: Path, split: str, limit: int | None) -
     names = split_scenes(root, split)[:limit]
     for name in names:
         try:
-            found[name] = prepared / name if (prepared / name).is_dir() else find_scene(root, name)
+            found[name] = find_scene(root, name)
         except TFLabError as error:
-            missing.append(error)
+            if scene_of(prepared / name):
+                found[name] = root / name  # prepared, when it was there
+            else:
+                missing.append(error)
     if names and not found:
         raise TFLabError(f"data.root={root}: no {split} scene in it; {missing[0]}")
     if missing:

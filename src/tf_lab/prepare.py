@@ -83,7 +83,8 @@ def _prepare(config: dict[str, Any]) -> int:
     prepared = prepare_captures(sources, root, settings, config["data"]["workers"], memory)
     print(summarise(prepared, root / settings.key))
     if config["pictures"]:
-        _draw(prepared.scenes, root / settings.key / "pictures")
+        scenes = {f"{name}-{d.name}": d for name, d in prepared.scenes.items()}
+        _draw(scenes, root / settings.key / "pictures")
     return len(prepared.failed)
 
 

@@ -54,7 +54,8 @@ def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
     """The ground truth of a run's test scene, if it is on this machine."""
     if "root" not in run.config["data"]:  # a kept copy
         return None
-    path = scene_directory(run.config, scene) / "groundtruth" / "mesh_gt.ply"
+    digest = run.makers[0].get("scenes", {}).get(scene)
+    path = scene_directory(run.config, scene, digest) / "groundtruth" / "mesh_gt.ply"
     return read_mesh(path) if path.exists() else None
 
 

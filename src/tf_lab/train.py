@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,17 +25,24 @@ from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.checkpoint import load_network, save_network
 from tf_lab.commands import command, device_of, in_sweep, plain
-from tf_lab.configuration import make_network, optimizer_settings, ready, test_settings
+from tf_lab.configuration import (
+    build_network,
+    make_network,
+    optimizer_settings,
+    ready,
+    test_settings,
+)
 from tf_lab.data.datamodule import SceneDataModule
 from tf_lab.datasets import has_scenes, identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.files import atomic_path, held, remove_abandoned, write_json
+from tf_lab.initial import check_state, initial_state
 from tf_lab.jobs import check_launcher, end_with_parent, run_job
 from tf_lab.loggers import log_scores, make_loggers
 from tf_lab.pictures import loss_curve
 from tf_lab.provenance import provenance
-from tf_lab.study.reuse import say_reused
+from tf_lab.study.reuse import earlier_state, say_reused
 from tf_lab.study.runs import portable, row_label, run_directory, training_directory
 from tf_lab.testing import read_metrics, test_network
 from tf_lab.training import Sittings, Training, TrainingProgress
@@ -50,7 +58,9 @@ def main(cfg: DictConfig) -> None:
     if in_sweep():
         run_job("tf_lab.train", row_label(cfg), cfg.seed, partial(_finished, cfg))
         return
-    config = identified(plain(cfg))
+    config = plain(cfg)
+    build_network(config), optimizer_settings(config)  # what is wrong is told before data is made
+    config = identified(config)
     start = time.time()
     run = run_directory(config)
     if read_metrics(run) is not None:
@@ -94,7 +104,8 @@ def evaluate_training(config: Config, checkpoint: Path) -> Path:
         network, info = load_network(checkpoint)
         scenes = prepare_data(config, ("test",))["test"]
         write_config(run, config)
-        write_json(run / "run.json", {**provenance(), "checkpoint": str(checkpoint), **info})
+        origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
+        write_json(run / "run.json", {**origin, **info})
         device = device_of("cpu" if config["trainer"]["accelerator"] == "cpu" else "auto")
         network = ready(network, config, device)
         test_network(network, scenes, test_settings(config), run, row_label(config))
@@ -137,20 +148,41 @@ def _fit(config: Config, directory: Path, checkpoint: Path) -> None:
     if config["trainer"]["compile"]:
         network.compile_parts()
     data = SceneDataModule(train, val, config["seed"], config["trainer"]["workers"])
-    last = directory / "last.ckpt"
-    if last.exists():
-        _check(last)
-        print(f"resuming {last}")
-    trainer.fit(module, data, ckpt_path=str(last) if last.exists() else None, weights_only=True)
+    state = _state_to_go_on_from(config, directory)
+    trainer.fit(module, data, ckpt_path=state, weights_only=True)
     if trainer.global_step < optimizer.steps:
         raise KeyboardInterrupt  # Lightning turns the signal into a silent end
+    trainer.save_checkpoint(directory / "last.ckpt")  # to train on
     if trainer.is_global_zero:
-        info = {"training": {**sittings.summary(), "config": portable(config)}}
+        origin = {**sittings.summary(), **_scenes(config, "train"), "config": portable(config)}
+        info = {"training": origin}
         logs = sorted(directory.glob("logs/version_*/metrics.csv"))
         if logs:
             loss_curve(logs, directory / "loss.png")
         save_network(network, checkpoint, info)
-        last.unlink(missing_ok=True)
+
+
+def _scenes(config: Config, split: str) -> Config:
+    """Which captures' scenes of a split a run uses, by the digest of their sources."""
+    found = config.get("scene_digests", {}).get(split)
+    return {"scenes": found} if found else {}
+
+
+def _state_to_go_on_from(config: Config, directory: Path) -> Path | None:
+    """Of this training, interrupted; else as ``init`` says; else of the same one of fewer steps."""
+    last = directory / "last.ckpt"
+    if last.exists():
+        _check(last)
+        print(f"resuming {last}")
+        return last
+    state = initial_state(config)
+    if state is not None:
+        check_state(state, asdict(optimizer_settings(config)))
+    elif not config.get("init"):
+        state = earlier_state(config, directory)
+    if state is not None:
+        print(f"going on from {state}")
+    return state
 
 
 class AtomicSaves(TorchCheckpointIO):
@@ -215,9 +247,10 @@ def _trainer(config: Config, callbacks: Sequence[Callback], directory: Path) -> 
 
 
 def write_config(directory: Path, config: Config) -> None:
-    """Save a resolved config."""
+    """Save a resolved config; its scenes, which may be many, are in ``run.json``."""
+    config = {key: value for key, value in config.items() if key != "scene_digests"}
     with atomic_path(directory / "config.yaml") as temporary:
-        temporary.write_text(yaml.safe_dump(dict(config), sort_keys=False))
+        temporary.write_text(yaml.safe_dump(config, sort_keys=False))
 
 
 if __name__ == "__main__":

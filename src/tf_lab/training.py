@@ -92,7 +92,13 @@ class Training(L.LightningModule):
         self.sdf_weight, self.test_settings = sdf_weight, test
         frozen = optimizer.encoder_factor == 0
         self.known_maps = KnownMaps(network, maps_memory) if frozen else None
-        self.save_hyperparameters({"network": asdict(network.config), "sdf_weight": sdf_weight})
+        self.save_hyperparameters(
+            {
+                "network": asdict(network.config),
+                "optimizer": asdict(optimizer),
+                "sdf_weight": sdf_weight,
+            }
+        )
 
     def training_step(self, batch: ChunkBatch, batch_idx: int) -> Tensor:
         """L = L_c + L_f + L_o of a batch."""

@@ -57,7 +57,9 @@ def test_killed_and_restarted_it_ends_with_equal_bytes(captures: Path, tmp_path:
     command = [sys.executable, "-m", "tf_lab.prepare", *arguments(captures, tmp_path / "killed")]
     process = subprocess.Popen(command, env=environment(), stdout=-3, stderr=-3)
     deadline = time.time() + 120
-    while not list((tmp_path / "killed").glob("*/.partial-*/color/*")):  # in the middle of a scene
+    while not list(
+        (tmp_path / "killed").glob("*/*/.partial-*/color/*")
+    ):  # in the middle of a scene
         assert process.poll() is None
         assert time.time() < deadline
         time.sleep(0.01)

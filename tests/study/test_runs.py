@@ -29,7 +29,7 @@ NEITHER = (
     *("trainer.workers", "trainer.accelerator", "trainer.compile"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),
-    "training.maps_memory",
+    *("training.maps_memory", "init"),
 )
 
 
@@ -154,6 +154,30 @@ def test_shards_are_known_by_what_is_in_them() -> None:
     assert keys(here)[0] != keys(others)[0]
     assert keys(here)[0] != keys(composed("data=shards", "data.urls=a", "data.shuffle=false"))[0]
     assert "urls" not in portable(here)["data"]
+
+
+@pytest.mark.parametrize("of", ["train", "init", "encoder"])
+def test_what_lies_in_files_is_known_by_its_content(of: str) -> None:
+    here, there, others = (
+        composed(f"init={place}", f"encoder.weights={place}") | {"digests": {of: digest}}
+        for place, digest in (("a", "x1"), ("b", "x1"), ("a", "x2"))
+    )
+    if of == "encoder":
+        assert keys(here) == keys(there)
+    assert keys(here)[0] != keys(others)[0]
+    assert keys(here)[1] == keys(others)[1]
+    assert "init" not in portable(here)
+
+
+def test_test_scenes_are_known_by_their_content() -> None:
+    data = ("data=captures", "data.root=here")
+    here, there, others = (
+        composed(*data, f"data.test={names}") | {"digests": {"test": digest}}
+        for names, digest in (("[a]", "x1"), ("list.txt", "x1"), ("[a]", "x2"))
+    )
+    assert keys(here) == keys(there)
+    assert keys(here)[0] == keys(others)[0]
+    assert keys(here)[1] != keys(others)[1]
 
 
 def test_directories_lie_in_the_output_and_say_what_they_are() -> None:

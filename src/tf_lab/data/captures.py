@@ -1,12 +1,18 @@
-"""Captures to scenes: frames at the training resolution, stored once, with ground truth."""
+"""Captures to scenes: frames at the training resolution, stored once, with ground truth.
+
+A scene lies under the digest of its sources: changed sources make another scene beside it, and
+whoever works with the old one goes on undisturbed.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
+import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,17 +26,21 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.chunk_weights import Structure
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import select_keyframes
-from tf_lab.data.preparation import SceneJob, build_scenes
+from tf_lab.data.preparation import run_tasks
 from tf_lab.data.readers import capture_within, detect_format, open_capture
 from tf_lab.data.readers.settings import AS_STATED, ReadSettings
+from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.resize import Resized
 from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene
+from tf_lab.data.sources import Sources, find_sources, read_sources
 from tf_lab.errors import TFLabError
-from tf_lab.files import write_json
+from tf_lab.files import atomic_directory, held, remove_abandoned, write_json
 from tf_lab.meshes import read_mesh
 
 logger = logging.getLogger(__name__)
+
+VERSION = 2  # of what is made of a capture; a reader that gives others raises it
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,7 @@ class ImportSettings:
     @property
     def key(self) -> str:
         """A name for scenes of these settings, so that others never pass for them."""
-        versions = [scene.FORMAT, groundtruth.VERSION]
+        versions = [VERSION, scene.FORMAT, groundtruth.VERSION]
         digest = hashlib.sha256(json.dumps([*versions, asdict(self)]).encode()).hexdigest()
         return f"{self.width}x{self.height}-{digest[:10]}"
 
@@ -97,19 +107,34 @@ def find_captures(root: Path) -> dict[str, Path]:
     return found
 
 
-def import_capture(directory: Path, source: Path, settings: ImportSettings, memory: int) -> None:
+def import_capture(
+    directory: Path,
+    source: Path,
+    settings: ImportSettings,
+    memory: int,
+    original: Capture | None = None,
+    digest: str | None = None,
+) -> None:
     """Write a capture as a scene with ground truth (not atomic: give a temporary directory).
 
     Frames that cannot be read or have no depth are left out, and listed in the scene.
 
+    Args:
+        directory: of the scene.
+        source: the capture's folder or file.
+        settings: of the scene.
+        memory: bytes to take for depth fusion.
+        original: the capture, if it is open already.
+        digest: of its sources, for the scene's provenance.
+
     Raises:
         TFLabError: nothing usable is left.
     """
-    original = open_capture(source, settings.read)
+    original = open_capture(source, settings.read) if original is None else original
     size = (settings.width, settings.height)
     capture = original if original.size == size else Resized(original, size)
     skipped = list(capture.skipped)
-    provenance = {"source": source.name, "settings": asdict(settings)}
+    provenance = {"source": source.name, "sources": digest, "settings": asdict(settings)}
     made = write_scene(
         directory,
         _frames(capture, settings.keyframe_distance, skipped),
@@ -152,17 +177,19 @@ def _frames(capture: Capture, distance: float, skipped: list[str]) -> Iterator[F
 
 
 def prepare_captures(
-    sources: dict[str, Path],
+    sources: Mapping[str, Path],
     root: Path,
     settings: ImportSettings,
     workers: int | None = None,
     memory: int = 2**30,
 ) -> Prepared:
-    """Make the scenes that do not exist yet, one process a scene.
+    """Make the scenes that do not exist yet or whose sources changed, one process a scene.
+
+    A scene whose capture is not there any more stays as it is.
 
     Args:
         sources: captures by the name of their scene.
-        root: scenes go to ``root/<settings' key>/<name>``.
+        root: scenes go to ``root/<settings' key>/<name>/<sources' digest>``.
         settings: for all of them.
         workers: processes; None: one a core.
         memory: bytes a process may take for depth fusion.
@@ -175,16 +202,97 @@ def prepare_captures(
             f"{folder}: cannot be made ({error.strerror}); say with data.scenes=DIR where the "
             "prepared scenes shall go"
         ) from error
-    jobs = [
-        SceneJob(
-            folder / name,
-            partial(import_capture, source=source, settings=settings, memory=memory),
-        )
-        for name, source in sources.items()
-    ]
-    failed = build_scenes(jobs, "preparing scenes", workers)
-    whole = {job.directory.name: job.directory for job in jobs if job.directory.is_dir()}
-    return Prepared(whole, failed)
+    failed: dict[str, str] = {}
+    if _outdated(folder, sources):
+        with held(folder, "prepares"):
+            outdated = _outdated(folder, sources)  # another process may have been faster
+            tasks = {}
+            for name in outdated:
+                remove_abandoned(folder / name)
+                make = partial(make_scene, folder / name, sources[name], settings, memory)
+                tasks[name] = make
+            failed = run_tasks(tasks, "preparing scenes", workers) if tasks else {}
+        _say_changes(folder, {n: s for n, s in outdated.items() if s and n not in failed})
+    for name in failed:
+        with contextlib.suppress(OSError):
+            (folder / name).rmdir()  # if nothing was ever made of it
+    found = {name: scene_of(folder / name) for name in sources if name not in failed}
+    return Prepared({name: path for name, path in found.items() if path}, failed)
+
+
+def scene_of(place: Path) -> Path | None:
+    """The directory of the scene of a name: of its sources as they were seen last."""
+    sources = read_sources(place)
+    directory = place / sources.digest if sources else place
+    return directory if sources and directory.is_dir() else None
+
+
+def prepared_scenes(folder: Path) -> list[str]:
+    """The names of the scenes of some settings that are there."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted(place.name for place in found if scene_of(place))
+
+
+def _outdated(folder: Path, captures: Mapping[str, Path]) -> dict[str, Sources | None]:
+    """Which scenes are to be made, and of what they were made last."""
+    outdated: dict[str, Sources | None] = {}
+    for name, capture in captures.items():
+        place = folder / name
+        sources = read_sources(place)
+        made = sources is not None and (place / sources.digest).is_dir()
+        if not (sources and made and (sources.unchanged(capture) or not _is_capture(capture))):
+            outdated[name] = sources
+    return outdated
+
+
+def _is_capture(path: Path) -> bool:
+    return path.exists() and bool(detect_format(path))
+
+
+def make_scene(place: Path, source: Path, settings: ImportSettings, memory: int) -> None:
+    """Make a capture's scene as ``place/<sources' digest>``, if it is not there; note its sources.
+
+    Raises:
+        TFLabError: the capture cannot be read, or changes meanwhile.
+    """
+    known = read_sources(place)
+    if known:
+        now = find_sources(source, known.stamps, known)
+        if now.digest == known.digest and (place / known.digest).is_dir():
+            now.write(place)  # touched, but the same
+            return
+    before = find_sources(source, known=known)
+    capture = open_capture(source, settings.read)
+    sources = find_sources(source, _files_of(source, capture), before)
+    directory = place / sources.digest
+    if not directory.is_dir():
+        with atomic_directory(directory) as temporary:
+            import_capture(temporary, source, settings, memory, capture, sources.digest)
+            if not (before.stamps.items() <= sources.stamps.items() and sources.unchanged(source)):
+                raise TFLabError(f"{source}: changed while it was read; prepare it again")
+    sources.write(place)
+
+
+def _files_of(source: Path, capture: Capture) -> Iterator[str]:
+    """The image files that a capture refers to, wherever they lie, from the capture's folder."""
+    folder = source.parent if source.is_file() else source
+    for frame in capture.source if isinstance(capture, SourceCapture) else ():
+        for pixels in (frame.color, frame.depth):
+            path = getattr(pixels, "path", None)
+            if isinstance(path, Path):
+                yield os.path.relpath(path, folder)
+
+
+def _say_changes(folder: Path, before: Mapping[str, Sources]) -> None:
+    """A line on each scene that was made anew."""
+    for name, old in before.items():
+        new = read_sources(folder / name)
+        if new is not None and new.digest != old.digest:
+            print(
+                f"{name}: made anew ({new.difference(old)}); the scene of before stays in "
+                f"{folder / name / old.digest} for what uses it",
+                flush=True,
+            )
 
 
 def summarise(prepared: Prepared, folder: Path) -> str:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+import yaml
+
 from tf_lab.checkpoint import read_info
 from tf_lab.errors import TFLabError
 from tf_lab.provenance import code_version, commit
+from tf_lab.study.runs import key_of, training_identity
 
 Origin = Mapping[str, Any]
 
@@ -58,3 +63,38 @@ def commits_of(origins: Iterable[Origin]) -> str:
     """The commits of some provenances, as people write them."""
     parts = (str(origin.get("commit", "unknown")).partition("-") for origin in origins)
     return " and ".join(dict.fromkeys(name[:9] + dash + dirty for name, dash, dirty in parts))
+
+
+def earlier_state(config: Mapping[str, Any], directory: Path) -> Path | None:
+    """The last state of the same training of fewer steps, if this one would pass through it.
+
+    That is so unless the schedule depends on the number of steps: then a note says how to go on
+    from that state nevertheless, which makes another training.
+
+    Args:
+        config: of a training.
+        directory: of that training; the others lie beside it.
+    """
+    steps, found = config["optimizer"]["steps"], []
+    beside = glob.escape(directory.name.rpartition("-")[0])
+    for path in directory.parent.glob(f"{beside}-*/last.ckpt"):
+        try:
+            other = yaml.safe_load((path.parent / "config.yaml").read_text())
+            if _but_for_steps(other) == _but_for_steps(config):
+                state = torch.load(path, map_location="cpu", mmap=True, weights_only=True)
+                found.append((int(state["global_step"]), path))
+        except Exception:  # any damage
+            continue
+    step, last = max(((s, p) for s, p in found if s < steps), default=(0, None))
+    if last is None or config["optimizer"]["schedule"] == "inverse_sqrt":
+        return last
+    print(
+        f"note: {last.parent} is this training of other steps, and its schedule was planned for "
+        f"those; this one starts anew. To go on from its step {step}: init={last}"
+    )
+    return None
+
+
+def _but_for_steps(config: Mapping[str, Any]) -> str:
+    identity = training_identity(config)
+    return key_of({**identity, "optimizer": {**identity["optimizer"], "steps": None}})

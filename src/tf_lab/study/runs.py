@@ -1,7 +1,9 @@
 """Run identity: which settings shape the weights, which only the evaluation (DESIGN).
 
 A training is found again by the hash of what shapes its weights, so that it is done once, whatever
-is asked of it at test time, and an interrupted one goes on.
+is asked of it at test time, and an interrupted one goes on. What lies in files is known by its
+content (``digests``, see `tf_lab.datasets.identified`): the same data elsewhere is the same
+training, other data in the same place is another.
 """
 
 from __future__ import annotations
@@ -29,6 +31,9 @@ TRAINING_KEYS = (
 TRAINER_MEANS = ("accelerator", "strategy", "compile", "workers")
 # of the data group: where it lies and how it is made, which shapes nothing
 DATA_PLACES = ("root", "scenes", "urls", "workers", "memory")
+PLACES = ("output", "init", "scene_digests")  # of a config; what is in them is in ``digests``
+# which scenes of a root: known by their content
+DATA_CHOICE = ("train", "size")
 DATA_AT_TEST = ("test", "test_size", "test_frames")
 DATA_AT_VALIDATION = ("val", "val_size")
 # of the policies of view selection: in the names of runs, and in the paper's rows
@@ -39,6 +44,7 @@ TEST_KEYS = ("views", "select", "resolution", "threshold", "keyframe_distance")
 
 def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a resolved config that shapes the weights."""
+    digests = config.get("digests", {})
     identity = {key: config[key] for key in TRAINING_GROUPS}
     if not config["inputs"].get("matching"):  # old trainings had no choice
         identity["inputs"] = {k: v for k, v in config["inputs"].items() if k != "matching"}
@@ -48,8 +54,13 @@ def training_identity(config: Mapping[str, Any]) -> dict[str, Any]:
         training = {**old, **training}
     identity["training"] = {key: training[key] for key in TRAINING_KEYS}
     apart = {*DATA_PLACES, *DATA_AT_TEST, *DATA_AT_VALIDATION}
+    apart |= set(DATA_CHOICE if "train" in digests else ())
     identity["data"] = {k: v for k, v in config["data"].items() if k not in apart}
     identity["trainer"] = {k: v for k, v in config["trainer"].items() if k not in TRAINER_MEANS}
+    if "encoder" in digests:
+        identity["encoder"] = {k: v for k, v in identity["encoder"].items() if k != "weights"}
+    if shaping := {k: v for k, v in digests.items() if k != "test"}:
+        identity["digests"] = shaping
     return identity
 
 
@@ -60,6 +71,8 @@ def evaluation_identity(config: Mapping[str, Any]) -> dict[str, Any]:
     if precision != "float32":  # the rest of the group changes no number
         identity["precision"] = precision
     identity["data"] = {k: v for k, v in config["data"].items() if k in DATA_AT_TEST}
+    if "test" in config.get("digests", {}):
+        identity["data"] = {"digest": config["digests"]["test"]}
     return identity
 
 
@@ -86,7 +99,7 @@ def run_directory(config: Mapping[str, Any]) -> Path:
 def portable(config: Mapping[str, Any]) -> dict[str, Any]:
     """A config without the paths of this machine, as it may travel with a checkpoint."""
     data = {k: v for k, v in config["data"].items() if k not in DATA_PLACES}
-    return {**{k: v for k, v in config.items() if k != "output"}, "data": data}
+    return {**{k: v for k, v in config.items() if k not in PLACES}, "data": data}
 
 
 def row_label(config: Mapping[str, Any]) -> str:

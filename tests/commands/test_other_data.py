@@ -1,0 +1,230 @@
+"""A result is of the data that it was asked of: other data is never taken for it, equal data is."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from PIL import Image
+from tiny_jobs import TINY, Result, call
+
+from layouts import plain as plain_layout
+from layouts import room_frames, scannet
+from tf_lab.checkpoint import read_info
+from tf_lab.commands import conf_dir, plain
+from tf_lab.data import sources
+from tf_lab.data.scene import Scene
+from tf_lab.datasets import identified, prepare_data
+from tf_lab.errors import TFLabError
+from tf_lab.study.runs import run_directory, training_directory
+
+OF_ROOMS = ("data.size", "data.val_size", "data.test_size", "data.frames", "data.test_frames")
+SETTINGS = (
+    *(word for word in TINY if word.partition("=")[0] not in OF_ROOMS),
+    *("data.keyframe_distance=0", "training.images=2", "training.coverage=0.1"),
+)
+
+
+def write(capture: Path, first: int, last: int) -> Path:
+    """A capture of some frames of a room."""
+    plain_layout.write(capture, room_frames()[first:last])
+    (capture / "gravity-direction.txt").write_text("0 0 -1")
+    return capture
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Two captures, one to train on and one to test on."""
+    write(tmp_path / "a" / "kitchen", 0, 8)
+    write(tmp_path / "a" / "office", 12, 20)
+    return tmp_path / "a"
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes are made here: a process each costs seconds."""
+
+    def run(tasks: Mapping[str, Callable[[], None]], title: str, workers: int) -> dict[str, str]:
+        failed = {}
+        for name, task in tasks.items():
+            try:
+                task()
+            except TFLabError as error:
+                failed[name] = str(error)
+        return failed
+
+    monkeypatch.setattr("tf_lab.data.captures.run_tasks", run)
+
+
+def arguments(root: Path) -> tuple[str, ...]:
+    return ("data=captures", *SETTINGS, f"data.root={root}", "data.test=[office]")
+
+
+def configured(*words: str) -> dict[str, Any]:
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        return identified(plain(compose("train", overrides=list(words))))
+
+
+def of_root(root: Path, *more: str) -> dict[str, Any]:
+    return configured(*arguments(root), *more)
+
+
+def keys(config: dict[str, Any]) -> tuple[Path, Path]:
+    """The directories of the training and of the evaluation."""
+    return training_directory(config), run_directory(config)
+
+
+def directories(root: Path, *more: str) -> tuple[Path, Path]:
+    return keys(of_root(root, *more))
+
+
+def swap_poses(capture: Path) -> None:
+    """Another pose for every image."""
+    poses = capture / "poses.txt"
+    poses.write_text("".join(reversed(poses.read_text().splitlines(keepends=True))))
+
+
+def test_another_root_with_captures_of_the_same_names(root: Path, tmp_path: Path) -> None:
+    write(tmp_path / "b" / "kitchen", 12, 20)
+    write(tmp_path / "b" / "office", 0, 8)
+    assert not {*directories(root)} & {*directories(tmp_path / "b")}
+
+
+def test_the_same_captures_elsewhere(root: Path, tmp_path: Path) -> None:
+    first = directories(root)
+    copy = shutil.copytree(root, tmp_path / "copy", ignore=shutil.ignore_patterns("tf_lab"))
+    for path in copy.rglob("*.*"):
+        os.utime(path)
+    assert directories(copy) == first
+    assert directories(copy, "data.train=[kitchen]") == first  # named instead of left over
+
+
+def test_a_capture_more(root: Path) -> None:
+    training, run = directories(root)
+    write(root / "hall", 8, 12)
+    assert directories(root)[0] != training
+    assert directories(root, "data.train=[kitchen]") == (training, run)
+    held_out = directories(root, "data.val=[hall]")
+    assert held_out == (training, run)  # a val scene shapes nothing
+
+
+def test_corrected_poses(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    training, _ = directories(root)
+    before = Scene(prepare_data(of_root(root), ("train",))["train"][0])
+    swap_poses(root / "kitchen")
+    assert directories(root)[0] != training
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("kitchen: made anew (poses.txt changed)")
+    after = Scene(prepare_data(of_root(root), ("train",))["train"][0])
+    np.testing.assert_allclose(after.world_T_cam, before.world_T_cam[::-1], atol=1e-12)
+    assert after.provenance["sources"] == after.directory.name
+    swap_poses(root / "kitchen")  # and back: the old scene is still there
+    assert directories(root)[0] == training
+
+
+def test_a_changed_picture_of_the_test_scene(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    training, run = directories(root)
+    picture = root / "office" / "images" / "3.png"
+    with Image.open(picture) as image:
+        turned = image.transpose(Image.Transpose.ROTATE_180)
+    turned.save(picture)
+    assert directories(root)[0] == training
+    assert directories(root)[1] != run
+    assert "office: made anew (images/3.png changed)" in capsys.readouterr().out
+
+
+def test_unchanged_captures_are_not_read(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = directories(root)
+    monkeypatch.setattr(sources, "_hash", lambda path: pytest.fail(f"{path} is read"))
+    assert directories(root) == first
+
+
+def test_touched_captures_are_not_made_again(
+    root: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = directories(root)
+    monkeypatch.setattr(
+        "tf_lab.data.captures.import_capture", lambda *_, **__: pytest.fail("made again")
+    )
+    for path in root.glob("*/*.txt"):
+        os.utime(path)
+    assert directories(root) == first
+    monkeypatch.setattr(sources, "_hash", lambda path: pytest.fail(f"{path} is read twice"))
+    assert directories(root) == first
+    assert capsys.readouterr().out == ""
+
+
+def test_a_run_keeps_to_its_scenes(root: Path) -> None:
+    """Whatever happens to the captures while it works."""
+    config = of_root(root)
+    (directory,) = prepare_data(config, ("train",))["train"]
+    swap_poses(root / "kitchen")
+    (other,) = prepare_data(of_root(root), ("train",))["train"]
+    assert other != directory
+    assert prepare_data(config, ("train",))["train"] == [directory]
+    assert len(Scene(directory)) == 8
+
+
+def test_scenes_whose_captures_are_gone(root: Path, tmp_path: Path) -> None:
+    """As where only the prepared scenes were copied to."""
+    first = directories(root)
+    prepared = (root / "tf_lab").rename(tmp_path / "scenes")
+    shutil.rmtree(root)
+    with pytest.raises(TFLabError, match="no such folder"):
+        directories(root)
+    assert directories(root, f"data.scenes={prepared}") == first
+    (tmp_path / "copy").mkdir()
+    prepared.rename(tmp_path / "copy" / "tf_lab")
+    assert directories(tmp_path / "copy") == first
+
+
+def test_scannet_scenes_whose_streams_are_gone(tmp_path: Path) -> None:
+    for split, number in (("train", 0), ("val", 1), ("test", 2)):
+        name = f"scene000{number}_00"
+        scannet.write(tmp_path / "scans" / name, room_frames()[6 * number : 6 * number + 6])
+        (tmp_path / f"scannetv2_{split}.txt").write_text(name)
+    first = keys(configured("data=scannet", *SETTINGS, f"data.root={tmp_path}"))
+    (tmp_path / "scans" / "scene0000_00" / "scene0000_00.txt").write_text("added")
+    second = keys(configured("data=scannet", *SETTINGS, f"data.root={tmp_path}"))
+    assert (second[0] != first[0], second[1] != first[1]) == (True, True)
+    shutil.rmtree(tmp_path / "scans" / "scene0000_00" / "color")
+    shutil.rmtree(tmp_path / "scans" / "scene0002_00")
+    assert keys(configured("data=scannet", *SETTINGS, f"data.root={tmp_path}")) == second
+
+
+def test_what_cannot_be_made_anew_is_not_used_as_it_was(root: Path) -> None:
+    directories(root)
+    (root / "kitchen" / "poses.txt").write_text("1 2 3")
+    with pytest.raises(TFLabError, match="none of the train scenes can be prepared"):
+        of_root(root)
+
+
+def test_the_train_command_on_two_roots(root: Path, tmp_path: Path) -> None:
+    write(tmp_path / "b" / "kitchen", 8, 16)
+    write(tmp_path / "b" / "office", 0, 8)
+
+    def train(root: Path) -> Result:
+        result = call("train", *arguments(root), f"output={tmp_path / 'outputs'}")
+        assert result.status == 0, result.err
+        return result
+
+    first, second, again = train(root), train(tmp_path / "b"), train(root)
+    assert "reusing" not in second.out
+    assert "reusing the identical finished evaluation" in again.out
+    assert again.path("run") == first.path("run") != second.path("run")
+    made = Scene(next((root / "tf_lab").glob("*/office/*/scene.json")).parent)
+    origin = json.loads((first.path("run") / "run.json").read_text())
+    assert origin["scenes"] == {"office": made.provenance["sources"]}
+    info = read_info(first.path("training") / "model.safetensors")["training"]
+    assert list(info["scenes"]) == ["kitchen"]
+    assert str(root) not in json.dumps(info["config"])
+    name = first.path("training").name
+    shown = call("runs", "show", name, f"output={tmp_path / 'outputs'}").out
+    assert info["scenes"]["kitchen"] in shown
