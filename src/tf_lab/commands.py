@@ -137,6 +137,7 @@ def _quieten() -> None:
         ".*Checkpoint directory .* exists and is not empty.*",
         ".*does not have many workers.*",
         ".*Experiment logs directory .* exists and is not empty.*",
+        ".*The dirpath has changed from .*",  # a training goes on from another's state
     ):
         warnings.filterwarnings("ignore", message=message)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
@@ -10,13 +13,16 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
 EVERY = 60.0  # seconds between the lines in a log
+RECENT = 30.0  # seconds of which the pace is taken
 
 
 class _Lines(Progress):
@@ -34,6 +40,78 @@ class _Lines(Progress):
             self.console.print(self.get_renderable())
 
 
+class _TimeLeft(TimeRemainingColumn):
+    """The task's own estimate (``left``, seconds), where it has one."""
+
+    def render(self, task: Task) -> Text:
+        """As hours, minutes and seconds."""
+        left = task.fields.get("left")
+        if left is None or task.finished:
+            return super().render(task)
+        minutes, seconds = divmod(round(left), 60)
+        text = f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
+        return Text(text, style="progress.remaining")
+
+
+@dataclass(frozen=True)
+class Once:
+    """Work that is done when an item is asked for the first time, and not again.
+
+    Attributes:
+        asked: items asked for, all in all.
+        done: of them those that had to be worked on.
+        seconds: which that took.
+    """
+
+    asked: int = 0
+    done: int = 0
+    seconds: float = 0.0
+
+
+class Pace:
+    """How long steps will take, of which the first are slower: they do what is done but once.
+
+    The time of the recent steps is taken without that work. What there is still of it follows from
+    how many of the items asked for recently were new: of N items at random, ``done`` of them known,
+    1 - done / N are.
+    """
+
+    def __init__(self) -> None:
+        self._recent: deque[tuple[float, int, Once]] = deque()
+
+    def restart(self) -> None:
+        """Forget the steps so far: something else has taken time since."""
+        self._recent.clear()
+
+    def left(self, now: float, step: int, steps: int, once: Once) -> float | None:
+        """Seconds left after a step; None: it cannot be told yet.
+
+        Args:
+            now: seconds, of any clock.
+            step: done, in all.
+            steps: to do, in all.
+            once: the work done once, so far.
+        """
+        self._recent.append((now, step, once))
+        while len(self._recent) > 2 and self._recent[1][0] < now - RECENT:
+            self._recent.popleft()
+        before, first, past = self._recent[0]
+        if step == first:
+            return None
+        done, asked = once.done - past.done, once.asked - past.asked
+        other = (now - before - (once.seconds - past.seconds)) / (step - first)
+        to_ask = asked / (step - first) * (steps - step)
+        new = done / asked if asked else 0.0
+        if new == 0:
+            more = 0.0
+        elif new == 1:  # no end of them in sight
+            more = to_ask
+        else:
+            items = once.done / (1 - new)
+            more = (items - once.done) * -math.expm1(-to_ask / items)
+        return (steps - step) * other + more * once.seconds / max(1, once.done)
+
+
 def progress_bar() -> Progress:
     """A progress bar with counts, elapsed and remaining time; lines where there is no terminal."""
     bar = Progress if Console().is_terminal else _Lines
@@ -42,6 +120,6 @@ def progress_bar() -> Progress:
         BarColumn(bar_width=12),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        _TimeLeft(),
         TextColumn("left"),
     )

@@ -23,7 +23,7 @@ from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
 from tf_lab.online.batch_selection import BatchSelection
 from tf_lab.online.selection import make_policy
-from tf_lab.progress import progress_bar
+from tf_lab.progress import Once, Pace, progress_bar
 from tf_lab.provenance import provenance
 from tf_lab.scoring import TestSettings, reconstruct
 from tf_lab.study.reuse import commits_of
@@ -167,6 +167,7 @@ class TrainingProgress(Callback):
     def __init__(self) -> None:
         self.bar: Progress | None = None
         self.task: TaskID | None = None
+        self.pace = Pace()
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Start at the step the run is at."""
@@ -193,7 +194,14 @@ class TrainingProgress(Callback):
         text = " ".join(f"{n} {float(values[k]):.2f}" for k, n in names.items() if k in values)
         if "val/fscore" in values:
             text += f" val F {float(values['val/fscore']):.2f}"
-        self.bar.update(self.task, completed=trainer.global_step, description=f"train {text}")
+        known, step = getattr(pl_module, "known_maps", None), trainer.global_step
+        work = Once(known.asked, known.encoded, known.seconds) if known is not None else Once()
+        left = self.pace.left(time.monotonic(), step, int(trainer.max_steps), work)
+        self.bar.update(self.task, completed=step, left=left, description=f"train {text}")
+
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Don't take a validation for a slow step."""
+        self.pace.restart()
 
     def _stop(self) -> None:
         if self.bar is not None:

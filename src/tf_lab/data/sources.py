@@ -106,9 +106,11 @@ def stamps_of(source: Path, also: Iterable[str] = ()) -> dict[str, Stamp]:
     Raises:
         OSError: a folder cannot be read.
     """
+    source = source.absolute()
     folder = _folder(source)
+    start = len(str(folder / "x")) - 1
     stamps = {
-        os.path.relpath(entry.path, folder): _stamp(entry.stat())
+        entry.path[start:]: _stamp(entry.stat())
         for entry in (_beside(source) if source.is_file() else _walk(folder, set()))
     }
     for name in also:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import torch
 from torch import Tensor
 
@@ -19,12 +21,17 @@ class KnownMaps:
     Args:
         network: whose encoder is frozen here.
         budget: bytes of maps to keep; images beyond it are encoded every time.
+
+    Attributes:
+        asked, encoded: how many images so far.
+        seconds: that encoding them took.
     """
 
     def __init__(self, network: Network, budget: int) -> None:
         network.encoder.requires_grad_(False)
         self.network, self.budget = network, budget
         self.nbytes = 0
+        self.asked, self.encoded, self.seconds = 0, 0, 0.0
         self._known: dict[int, dict[str, Tensor]] = {}
 
     @torch.no_grad()
@@ -36,10 +43,13 @@ class KnownMaps:
         keys = [hash(image.numpy().tobytes()) for image in images]
         new = [i for i, key in enumerate(keys) if key not in self._known]
         found = {key: self._known[key] for key in keys if key in self._known}
+        start = time.monotonic()
         for i in new:
             maps = self.network.encode(images[i : i + 1])
             found[keys[i]] = {level: maps[level][0].half() for level in LEVELS}
             self._keep(keys[i], found[keys[i]])
+        self.seconds += time.monotonic() - start
+        self.asked, self.encoded = self.asked + len(keys), self.encoded + len(new)
         return {level: torch.stack([found[key][level].float() for key in keys]) for level in LEVELS}
 
     def _keep(self, key: int, maps: dict[str, Tensor]) -> None:

@@ -1,0 +1,150 @@
+"""Training on: from the weights of a checkpoint, or from the state of a training."""
+
+import csv
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from tiny_jobs import TINY, Result, call, tiny_config
+
+from tf_lab.checkpoint import load_network, read_info, save_network
+from tf_lab.study.runs import training_directory
+
+Train = Callable[..., Result]
+NO_TEST = "data.test_size=0"
+VALIDATE = ("training.validate_every=3", "training.save_every=4")  # neither divides the steps
+
+
+def weights(result: Result) -> dict[str, torch.Tensor]:
+    return load_file(result.path("training") / "model.safetensors")
+
+
+def different(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> list[str]:
+    """Names of the tensors that differ by a bit."""
+    assert first.keys() == second.keys()
+    return [name for name in first if not torch.equal(first[name], second[name])]
+
+
+def first_step(training: Path) -> int:
+    """The first one logged."""
+    with (training / "logs" / "version_0" / "metrics.csv").open() as file:
+        return min(int(row["step"]) for row in csv.DictReader(file))
+
+
+def test_more_steps_of_a_schedule_that_does_not_end(train: Train, tmp_path: Path) -> None:
+    """The longer training is, to the bit, what it is from nothing."""
+    common = (NO_TEST, "optimizer.schedule=inverse_sqrt", "optimizer.encoder_factor=1", *VALIDATE)
+    short = train(*common, "optimizer.steps=7", f"output={tmp_path / 'two'}")
+    long = train(*common, "optimizer.steps=20", f"output={tmp_path / 'two'}")
+    assert (long.status, long.err) == (0, "")
+    assert f"going on from {short.path('training') / 'last.ckpt'}" in long.out
+    assert first_step(long.path("training")) >= 7
+    info = read_info(long.path("training") / "model.safetensors")["training"]
+    assert len(info["sittings"]) == 2
+    whole = train(*common, "optimizer.steps=20", f"output={tmp_path / 'one'}")
+    assert "going on" not in whole.out
+    assert whole.path("training").name == long.path("training").name
+    assert different(weights(long), weights(whole)) == []
+    assert different(weights(short), weights(whole)) != []
+    other = train(*common, "optimizer.steps=21", "seed=1", f"output={tmp_path / 'two'}")
+    assert "going on" not in other.out
+
+
+def test_more_steps_of_a_schedule_that_ended(train: Train, tmp_path: Path) -> None:
+    """Is another training, and says how to have it."""
+    common = (NO_TEST, f"output={tmp_path}", "optimizer.warmup=2")
+    short = train(*common, "optimizer.steps=7")
+    planned = train(*common, "optimizer.steps=20")
+    state = short.path("training") / "last.ckpt"
+    assert f"To go on from its step 7: init={state}" in planned.out
+    assert first_step(planned.path("training")) < 7
+    longer = train(*common, "optimizer.steps=20", f"init={state}")
+    assert (longer.status, longer.err) == (0, "")
+    assert first_step(longer.path("training")) >= 7
+    assert longer.path("training") != planned.path("training")
+    assert different(weights(longer), weights(planned)) != []
+    assert different(weights(longer), weights(short)) != []
+    again = train(*common, "optimizer.steps=20", f"init={state}")
+    assert f"reusing the identical finished training {longer.path('training')}" in again.out
+
+
+def test_from_the_weights_of_a_checkpoint(train: Train, checkpoint: Path, tmp_path: Path) -> None:
+    """A learning rate of 0 leaves them as they are."""
+    still = ("optimizer.lr=0", "optimizer.encoder_factor=1", "optimizer.steps=2")
+    result = train(NO_TEST, *still, f"init={checkpoint}", f"output={tmp_path}")
+    assert (result.status, result.err) == (0, "")
+    assert different(weights(result), load_file(checkpoint)) == []
+    nothing = train(NO_TEST, *still, f"output={tmp_path}")
+    assert nothing.path("training") != result.path("training")
+    assert different(weights(nothing), weights(result)) != []
+
+
+@pytest.mark.usefixtures("outputs")
+def test_a_checkpoint_is_known_by_its_content(checkpoint: Path, tmp_path: Path) -> None:
+    network, info = load_network(checkpoint)
+    copy = tmp_path / "copy.safetensors"
+    save_network(network, copy, {**info, "told": "something else"})
+    first, second = (training_directory(tiny_config(f"init={c}")) for c in (checkpoint, copy))
+    assert first == second != training_directory(tiny_config())
+    with torch.no_grad():
+        next(network.parameters()).mul_(1.01)
+    save_network(network, copy, info)
+    assert training_directory(tiny_config(f"init={copy}")) != first
+    state = checkpoint.parent / "last.ckpt"
+    assert training_directory(tiny_config(f"init={state}", "optimizer.steps=9")) != (
+        training_directory(tiny_config(f"init={checkpoint}", "optimizer.steps=9"))
+    )
+
+
+def test_encoder_weights_are_known_by_their_content(checkpoint: Path, tmp_path: Path) -> None:
+    weights = tmp_path / "encoder.pth"
+    keys = []
+    for scale in (1.0, 1.0, 2.0):
+        torch.save({"conv1.weight": torch.ones(3) * scale}, weights)
+        weights = weights.rename(tmp_path / f"encoder{len(keys)}.pth")
+        keys.append(training_directory(tiny_config(f"encoder.weights={weights}")))
+    assert keys[0] == keys[1] != keys[2]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["init=shipped"], "tiny.safetensors: of another network: width is 32 there and 8 here"),
+        (["init=CHECKPOINT", "refine=false"], "refine is True there and False here"),
+        (["init=CHECKPOINT", "encoder.fine_stride=4"], "encoder.fine_stride is 2 there and 4 here"),
+        (["init=nowhere.safetensors"], "nowhere.safetensors: no such checkpoint"),
+        (["init=nowhere.ckpt"], "nowhere.ckpt: no such file"),
+        (["init=damaged.ckpt"], "damaged.ckpt: damaged"),
+        (["init=STATE"], "is at step 5 of optimizer.steps=5; give more"),
+        (["init=STATE", "optimizer.steps=9", "refine=false"], "of another network: refine"),
+        (["init=STATE", "optimizer.steps=9", "optimizer.lr=1"], "lr is 0.002 there and 1 here"),
+    ],
+)
+def test_what_does_not_fit_is_named(
+    checkpoint: Path, tmp_path: Path, words: list[str], message: str
+) -> None:
+    (tmp_path / "damaged.ckpt").write_bytes(b"damaged")
+    places = {"CHECKPOINT": str(checkpoint), "STATE": str(checkpoint.parent / "last.ckpt")}
+    for name, place in places.items():
+        words = [word.replace(name, place) for word in words]
+    result = call("train", *TINY, NO_TEST, *words)
+    assert result.status == 2
+    (line,) = result.err.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+
+
+def test_a_state_of_which_the_training_is_removed_is_not_needed(
+    train: Train, tmp_path: Path
+) -> None:
+    """A finished training may lose its state; then more steps begin from nothing."""
+    common = (NO_TEST, "optimizer.schedule=inverse_sqrt", f"output={tmp_path}")
+    short = train(*common)
+    (short.path("training") / "last.ckpt").unlink()
+    assert "reusing the identical finished training" in train(*common).out
+    longer = train(*common, "optimizer.steps=6")
+    assert (longer.status, "going on" in longer.out) == (0, False)
+    shutil.rmtree(longer.path("training"))
