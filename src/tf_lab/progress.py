@@ -101,15 +101,12 @@ class Pace:
         done, asked = once.done - past.done, once.asked - past.asked
         other = (now - before - (once.seconds - past.seconds)) / (step - first)
         to_ask = asked / (step - first) * (steps - step)
-        new = done / asked if asked else 0.0
-        if new == 0:
-            more = 0.0
-        elif new == 1:  # no end of them in sight
-            more = to_ask
-        else:
-            items = once.done / (1 - new)
-            more = (items - once.done) * -math.expm1(-to_ask / items)
-        return (steps - step) * other + more * once.seconds / max(1, once.done)
+        if done == 0:
+            return (steps - step) * other
+        new = done / (asked + 1)  # as if one more had been known: none of a few says little
+        items = once.done / (1 - new)
+        more = (items - once.done) * -math.expm1(-to_ask / items)
+        return (steps - step) * other + more * once.seconds / once.done
 
 
 def progress_bar() -> Progress:
