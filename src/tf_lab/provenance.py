@@ -19,7 +19,8 @@ PACKAGE = Path(__file__).resolve().parent
 # what weights and scores depend on
 CORE = (
     *("data", "network", "online", "evaluation", "geometry.py", "isosurface.py", "raycast.py"),
-    *("training.py", "train.py", "configuration.py", "datasets.py", "scoring.py", "testing.py"),
+    *("training.py", "train.py", "initial.py", "configuration.py", "datasets.py"),
+    *("scoring.py", "testing.py"),
 )
 
 

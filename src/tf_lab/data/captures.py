@@ -106,10 +106,6 @@ def find_captures(root: Path) -> dict[str, Path]:
     return found
 
 
-def _open(source: Path, settings: ImportSettings) -> Capture:
-    return open_capture(source, settings.read)
-
-
 def import_capture(
     directory: Path,
     source: Path,
@@ -133,7 +129,7 @@ def import_capture(
     Raises:
         TFLabError: nothing usable is left.
     """
-    original = original or _open(source, settings)
+    original = open_capture(source, settings.read) if original is None else original
     size = (settings.width, settings.height)
     capture = original if original.size == size else Resized(original, size)
     skipped = list(capture.skipped)
@@ -265,7 +261,7 @@ def make_scene(place: Path, source: Path, settings: ImportSettings, memory: int)
             now.write(place)  # touched, but the same
             return
     before = find_sources(source, known=known)
-    capture = _open(source, settings)
+    capture = open_capture(source, settings.read)
     sources = find_sources(source, _files_of(source, capture), before)
     directory = place / sources.digest
     if not directory.is_dir():

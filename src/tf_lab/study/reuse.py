@@ -80,16 +80,17 @@ def earlier_state(config: Mapping[str, Any], directory: Path) -> Path | None:
     for path in directory.parent.glob(f"{beside}-*/last.ckpt"):
         try:
             other = yaml.safe_load((path.parent / "config.yaml").read_text())
-            if _but_for_steps(other) == _but_for_steps(config):
+            fewer = other["optimizer"]["steps"] < steps
+            if fewer and _but_for_steps(other) == _but_for_steps(config):
                 state = torch.load(path, map_location="cpu", mmap=True, weights_only=True)
                 found.append((int(state["global_step"]), path))
         except Exception:  # any damage
             continue
-    step, last = max(((s, p) for s, p in found if s < steps), default=(0, None))
+    step, last = max(found, default=(0, None))
     if last is None or config["optimizer"]["schedule"] == "inverse_sqrt":
         return last
     print(
-        f"note: {last.parent} is this training of other steps, and its schedule was planned for "
+        f"note: {last.parent} is this training of fewer steps, and its schedule was planned for "
         f"those; this one starts anew. To go on from its step {step}: init={last}"
     )
     return None
