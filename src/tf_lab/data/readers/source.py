@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,10 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 
 MAX_DISTANCE = 1e8  # units of the source; geocentric coordinates in metres are smaller
+RIGID = 5e-3  # factors nearer to 1 are rounding, as for `is_valid_pose`
+MIN_FACTOR = 1e-6  # of a scaled rotation, and one over the largest
+
+logger = logging.getLogger(__name__)
 
 
 class Pixels(Protocol):
@@ -204,8 +209,13 @@ def collect(
     metric: bool = True,
     convention: Convention = OURS,
 ) -> SourceCapture:
-    """The capture of what a reader found (see `Given` and `usable`)."""
-    given = Given(source, [_sized(f) for f in frames], skipped, down, metric, convention)
+    """The capture of what a reader found (see `Given` and `usable`).
+
+    Rotations that are all scaled by one factor, as Blender and instant-ngp write those of scaled
+    cameras, lose it, and the log says so.
+    """
+    sized = _unscaled(source, [_sized(frame) for frame in frames])
+    given = Given(source, sized, skipped, down, metric, convention)
     return usable(given, centred=False)  # intrinsics may still be mended
 
 
@@ -274,6 +284,28 @@ def _sized(frame: SourceFrame) -> SourceFrame:
     if not isinstance(frame.color, ColorFile):
         return frame
     return replace(frame, color=replace(frame.color, size=frame.camera.size))
+
+
+def _unscaled(source: Path, frames: list[SourceFrame]) -> list[SourceFrame]:
+    """The frames without the factor that most of their rotations are scaled by."""
+    poses = [frame.world_T_cam for frame in frames if np.isfinite(frame.world_T_cam).all()]
+    factors = sorted(float(np.cbrt(np.linalg.det(pose[:3, :3]))) for pose in poses)
+    factor = factors[len(factors) // 2] if factors else 1.0
+    if abs(factor - 1) < RIGID or not MIN_FACTOR < factor < 1 / MIN_FACTOR:
+        return frames
+    scale = np.ones((4, 4))
+    scale[:3, :3] = factor
+    unscaled = [replace(frame, world_T_cam=frame.world_T_cam / scale) for frame in frames]
+    if _rigid(unscaled) <= _rigid(frames):
+        return frames
+    logger.warning("%s: the rotations of its poses are scaled by %.4g; the scale is taken out, "
+                   "positions stay", source, factor)  # fmt: skip
+    return unscaled
+
+
+def _rigid(frames: Sequence[SourceFrame]) -> int:
+    """How many of the frames have a valid pose."""
+    return sum(bool(is_valid_pose(torch.from_numpy(frame.world_T_cam))) for frame in frames)
 
 
 def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:
