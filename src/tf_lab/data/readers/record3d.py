@@ -7,11 +7,11 @@
                             "poses": [qx, qy, qz, qw, tx, ty, tz] a frame, camera to world, metres
     rgb/0.jpg, depth/0.*    or rgbd/0.jpg, rgbd/0.*: by the number of the frame
 
-Camera axes are OpenGL's, the images upright as the phone was held, and the principal point is from
-their corner. The world is where the first camera was, however it was held: nothing says where down
-is. Depth is read from .npy and TIFF (metres), 16-bit PNG (millimetres), and .depth or .bin of bare
-float32 metres, "dw" x "dh". The app itself writes .exr, and compresses .depth with LZFSE; for these
-there is no reader at hand: such depth is left out, and the log says so.
+Camera axes are OpenGL's, of the upright images that the app makes, and the principal point is from
+their corner. The world is that of the first camera: nothing says where down is. Depth is read from
+.npy and TIFF (metres), 16-bit PNG (millimetres), and .depth or .bin of bare float32 metres, "dw" x
+"dh". The app itself writes .exr, and compresses .depth with LZFSE; for these there is no reader at
+hand: such depth is left out, and the log says so.
 """
 
 from __future__ import annotations
