@@ -14,13 +14,12 @@ import torch
 
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.data.lens import Camera, rectify_image, register_depth
+from tf_lab.data.readers.scaled_rotations import unscaled
 from tf_lab.data.readers.settings import OURS, Convention
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 
 MAX_DISTANCE = 1e8  # units of the source; geocentric coordinates in metres are smaller
-RIGID = 5e-3  # factors nearer to 1 are rounding, as for `is_valid_pose`
-MIN_FACTOR = 1e-6  # of a scaled rotation, and one over the largest
 
 logger = logging.getLogger(__name__)
 
@@ -286,26 +285,15 @@ def _sized(frame: SourceFrame) -> SourceFrame:
     return replace(frame, color=replace(frame.color, size=frame.camera.size))
 
 
-def _unscaled(source: Path, frames: list[SourceFrame]) -> list[SourceFrame]:
-    """The frames without the factor that most of their rotations are scaled by."""
-    poses = [frame.world_T_cam for frame in frames if np.isfinite(frame.world_T_cam).all()]
-    factors = sorted(float(np.cbrt(np.linalg.det(pose[:3, :3]))) for pose in poses)
-    factor = factors[len(factors) // 2] if factors else 1.0
-    if abs(factor - 1) < RIGID or not MIN_FACTOR < factor < 1 / MIN_FACTOR:
-        return frames
-    scale = np.ones((4, 4))
-    scale[:3, :3] = factor
-    unscaled = [replace(frame, world_T_cam=frame.world_T_cam / scale) for frame in frames]
-    if _rigid(unscaled) <= _rigid(frames):
-        return frames
-    logger.warning("%s: the rotations of its poses are scaled by %.4g; the scale is taken out, "
-                   "positions stay", source, factor)  # fmt: skip
-    return unscaled
-
-
-def _rigid(frames: Sequence[SourceFrame]) -> int:
-    """How many of the frames have a valid pose."""
-    return sum(bool(is_valid_pose(torch.from_numpy(frame.world_T_cam))) for frame in frames)
+def _unscaled(source: Path, frames: Sequence[SourceFrame]) -> list[SourceFrame]:
+    """The frames without the factor that their rotations are scaled by."""
+    if not frames:
+        return []
+    poses, factor = unscaled(np.stack([frame.world_T_cam for frame in frames]))
+    if factor != 1:
+        logger.warning("%s: the rotations of its poses are scaled by %.4g; the scale is taken out, "
+                       "positions stay", source, factor)  # fmt: skip
+    return [replace(f, world_T_cam=pose) for f, pose in zip(frames, poses, strict=True)]
 
 
 def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:
