@@ -277,7 +277,35 @@ def test_record3d_metadata_that_is_wrong(record3d_folder: Path, changes: dict[st
         open_capture(record3d_folder)
 
 
-def test_the_scanner_app_s_own_folder_is_no_other(tmp_path: Path) -> None:
+def test_quaternions_of_another_order(stray_folder: Path, record3d_folder: Path) -> None:
+    """What the settings mend is mended by each layout's own convention."""
+    right = [open_capture(folder).world_T_cam for folder in (stray_folder, record3d_folder)]
+    header, *lines = (stray_folder / "odometry.csv").read_text().splitlines()
+    rows = [line.split(", ") for line in lines]
+    swapped = [", ".join([*row[:5], row[8], *row[5:8]]) for row in rows]
+    (stray_folder / "odometry.csv").write_text("\n".join([header, *swapped]))
+    edit(
+        record3d_folder / "metadata.json",
+        lambda d: d.update(poses=[[p[3], *p[:3], *p[4:]] for p in d["poses"]]),
+    )
+    settings = ReadSettings(quaternions="wxyz")
+    for folder, expected in zip((stray_folder, record3d_folder), right, strict=True):
+        mended = open_capture(folder, settings).world_T_cam
+        np.testing.assert_allclose(mended, expected, atol=1e-6)
+
+
+def test_opencv_axes_in_a_layout_of_opengl(tmp_path: Path, polycam_folder: Path) -> None:
+    right = open_capture(polycam_folder).world_T_cam
+    for camera in (polycam_folder / "keyframes" / "corrected_cameras").iterdir():
+        edit(
+            camera,
+            lambda d: d.update({k: -v for k, v in d.items() if k[-1] in "12" and k[0] == "t"}),
+        )
+    mended = open_capture(polycam_folder, ReadSettings(axes="opencv")).world_T_cam
+    np.testing.assert_allclose(mended, right, atol=1e-9)
+
+
+def test_no_app_is_taken_for_another(tmp_path: Path) -> None:
     for layout in (stray_layout, scanner_layout, polycam_layout, record3d_layout):
         name = layout.__name__.split(".")[-1]
         assert detect_format(layout.write(tmp_path / name, FRAMES)) == [name]
