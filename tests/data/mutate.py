@@ -98,17 +98,23 @@ def pick(files: list[Path], rng: np.random.Generator) -> Path:
     return chosen[rng.integers(len(chosen))]
 
 
-def attempt(source: Path, options: ReadSettings) -> None:
-    """Open a capture and read all of it, as reconstruct and prepare do: each frame on its own."""
+def attempt(source: Path, options: ReadSettings) -> bool:
+    """Open a capture and read all of it, as reconstruct and prepare do: each frame on its own.
+
+    Whether a part of it was refused.
+    """
     capture = open_capture(source, options)
+    refused = bool(capture.skipped)
     for i in range(len(capture.frames)):
         try:
             capture.image(i)
             capture.depth(i)
         except TFLabError as error:
             assert str(error)
+            refused = True
     assert np.isfinite(capture.world_T_cam).all()
     assert np.isfinite(capture.K).all()
+    return refused
 
 
 def main(layout: str, count: int) -> None:
@@ -137,7 +143,9 @@ def main(layout: str, count: int) -> None:
                 mutation(path, rng)
             signal.alarm(SECONDS)
             try:
-                attempt(copy / opened.relative_to(Path(folder) / "whole"), module.OPTIONS)
+                refused += attempt(
+                    copy / opened.relative_to(Path(folder) / "whole"), module.OPTIONS
+                )
             except TFLabError:
                 refused += 1
             except Exception:  # what this is about

@@ -135,7 +135,26 @@ def write_export(folder: Path, depth_K: np.ndarray, color_T_depth: np.ndarray) -
     return folder
 
 
-@pytest.mark.parametrize("write", [write_stream, write_export])
+def write_cpp_export(folder: Path, depth_K: np.ndarray, color_T_depth: np.ndarray) -> Path:
+    folder.mkdir()
+    lines = ["m_depthShift = 1000"]
+    cameras = {
+        "Color": (COLOR_K, COLOR_SIZE, np.eye(4)),
+        "Depth": (depth_K, DEPTH_SIZE, color_T_depth),
+    }
+    for kind, (K, (width, height), extrinsics) in cameras.items():
+        lines += [f"m_{kind.lower()}Width = {width}", f"m_{kind.lower()}Height = {height}"]
+        for what, matrix in (("Intrinsic", sens.intrinsics(K)), ("Extrinsic", extrinsics)):
+            lines.append(f"m_calibration{kind}{what} = " + " ".join(map(str, np.ravel(matrix))))
+    (folder / "_info.txt").write_text("\n".join(lines))
+    for i, (color, depth, world_T_depth) in enumerate(rig_images()):
+        Image.fromarray(color).save(folder / f"frame-{i:06d}.color.png")
+        Image.fromarray(depth).save(folder / f"frame-{i:06d}.depth.pgm")
+        np.savetxt(folder / f"frame-{i:06d}.pose.txt", world_T_depth)
+    return folder
+
+
+@pytest.mark.parametrize("write", [write_stream, write_export, write_cpp_export])
 def test_scannet_has_two_cameras(tmp_path: Path, write: RigWriter) -> None:
     capture = open_capture(write(tmp_path / "right", DEPTH_K, COLOR_T_DEPTH))
     assert pixels_off(capture) < PIXELS

@@ -68,16 +68,20 @@ def text(tmp_path: Path) -> Callable[..., Path]:
 def binary(tmp_path: Path) -> Callable[..., Path]:
     """Writes the same model as binary."""
 
-    def write(model: int = 1, values: Sequence[float] = (110, 112, 61, 44.5)) -> Path:
-        write_images(tmp_path)
+    def write(
+        model: int = 1, values: Sequence[float] = (110, 112, 61, 44.5), count: int = 1
+    ) -> Path:
+        write_images(tmp_path, count)
         (tmp_path / "cameras.bin").write_bytes(
             struct.pack(f"<QIiQQ{len(values)}d", 1, 1, model, *SIZE, *values)
         )
-        (tmp_path / "images.bin").write_bytes(
-            struct.pack("<QI7dI", 1, 1, *QUATERNION, *TRANSLATION, 1)
-            + b"0.png\0"
+        images = [
+            struct.pack("<I7dI", 1, *QUATERNION, *TRANSLATION, 1)
+            + f"{i}.png\0".encode()
             + struct.pack("<QddQ", 1, 1.0, 2.0, 3)
-        )
+            for i in range(count)
+        ]
+        (tmp_path / "images.bin").write_bytes(struct.pack("<Q", count) + b"".join(images))
         return tmp_path
 
     return write
@@ -144,15 +148,63 @@ def test_places_of_the_model(text: Write, tmp_path: Path, place: str) -> None:
     assert_same(colmap.read(tmp_path / "scene" / place), expected)  # images/ is found above
 
 
-def test_several_models_are_told(text: Write, caplog: pytest.LogCaptureFixture) -> None:
-    folder = text()
-    for part in "01":
-        (folder / "sparse" / part).mkdir(parents=True)
-        for name in ("cameras.txt", "images.txt"):
-            (folder / "sparse" / part / name).write_bytes((folder / name).read_bytes())
+def several_models(folder: Path, write: Callable[[int], Path]) -> Path:
+    """sparse/0 of one image, sparse/1 of three, sparse/2 of two."""
+    for part, count in enumerate([1, 3, 2]):
+        write(count)
+        (folder / "sparse" / str(part)).mkdir(parents=True)
+        for file in [*folder.glob("*.txt"), *folder.glob("*.bin")]:
+            file.rename(folder / "sparse" / str(part) / file.name)
+    write_images(folder, 3)
+    return folder
+
+
+def repeated(text: Write) -> Callable[[int], Path]:
+    return lambda count: text(images="".join(f"1 {POSE} 1 {i}.png\n\n" for i in range(count)))
+
+
+@pytest.mark.parametrize("form", ["text", "binary"])
+def test_the_largest_of_several_models(
+    tmp_path: Path, text: Write, binary: Write, form: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    write = repeated(text) if form == "text" else lambda count: binary(count=count)
+    folder = several_models(tmp_path, write)
     with caplog.at_level(logging.WARNING):
-        colmap.read(folder)
-    assert "sparse/0: one of 2 models" in caplog.text
+        capture = colmap.read(folder)
+    assert "sparse/1: the largest of 3 models, with 3 images of 6" in caplog.text
+    assert capture.frames == ["0", "1", "2"]
+    assert colmap.read(folder / "sparse" / "2").frames == ["0", "1"]  # another, by its folder
+    for part in "02":
+        shutil.rmtree(folder / "sparse" / part)
+    assert_same(colmap.read(folder), capture)  # only sparse/1
+
+
+def test_damaged_models_beside_a_good_one(tmp_path: Path, text: Write) -> None:
+    folder = several_models(tmp_path, repeated(text))
+    for name in ("cameras.bin", "images.bin"):  # of a count that the file cannot hold
+        (folder / "sparse" / "0" / name).write_bytes(b"\xff" * 20)
+    (folder / "sparse" / "2" / "images.txt").write_bytes(b"\xff" * 20)
+    assert colmap.read(folder).frames == ["0", "1", "2"]
+
+
+def test_images_of_another_folder(text: Write, tmp_path: Path) -> None:
+    folder = text()
+    (folder / "images").rename(folder / "input")
+    assert colmap.read(folder).image(0).shape == (90, 120, 3)
+    (folder / "images").mkdir()
+    Image.new("RGB", SIZE).save(folder / "images" / "other.png")  # not of this model
+    assert colmap.read(folder).frames == ["0"]
+
+
+@pytest.mark.parametrize("turned", [0, 2])
+def test_one_turned_picture_is_told_alone(text: Write, turned: int) -> None:
+    folder = text(images="".join(f"{i} {POSE} 1 {i}.png\n\n" for i in range(4)), count=4)
+    Image.new("RGB", SIZE[::-1]).save(folder / "images" / f"{turned}.png")
+    capture = colmap.read(folder)
+    right = sorted({0, 1, 2, 3} - {turned})
+    assert [capture.image(i)[0, 0, 0] for i in right] == right
+    with pytest.raises(TFLabError, match=rf"{turned}\.png: is 90x120, its camera 120x90"):
+        capture.image(turned)
 
 
 def test_the_scale_must_be_given(text: Write) -> None:

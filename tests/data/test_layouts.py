@@ -18,7 +18,7 @@ from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.scoring import TestSettings, reconstruct
 
 every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))
-NO_DEPTH = ("colmap_text", "colmap_binary", "arkit", "video")
+NO_DEPTH = ("colmap_text", "colmap_binary", "transforms_splits", "arkit", "video")
 
 
 def opened(layout: str, tmp_path: Path) -> Capture:

@@ -24,6 +24,8 @@ K = np.array([[38.0, 0, 20.0], [0, 39.0, 14.5], [0, 0, 1]])  # pixel centres at 
 MATRIX = [[1.0, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3], [0, 0, 0, 1]]
 EXPECTED = [[1.0, 0, 0, 1], [0, 0, 1, 2], [0, -1, 0, 3], [0, 0, 0, 1]]  # down is -z, front +y
 
+LEVEL = ReadSettings(gravity=(0, 0, -1))
+
 
 def frame(i: int, **extra: Any) -> dict[str, Any]:
     return {"file_path": f"images/{i}.png", "transform_matrix": MATRIX, **extra}
@@ -63,12 +65,53 @@ def test_the_folder_and_the_file_are_the_same_capture(tmp_path: Path) -> None:
     b = open_capture(folder / "transforms.json", ReadSettings(gravity=(0, 0, -1)))
     assert a.name == b.name == tmp_path.name
     np.testing.assert_array_equal(a.world_T_cam, b.world_T_cam)
-    (folder / "transforms.json").rename(folder / "transforms_train.json")
-    assert open_capture(
-        folder / "transforms_train.json", ReadSettings(gravity=(0, 0, -1))
-    ).frames == ["0"]
+    (folder / "transforms.json").rename(folder / "other.json")
+    assert open_capture(folder / "other.json", LEVEL).frames == ["0"]
     with pytest.raises(TFLabError, match="no poses"):
         open_capture(folder)
+
+
+def test_the_splits_are_one_capture(tmp_path: Path) -> None:
+    splits = {"train": [0, 2], "val": [], "test": [1]}
+    for split, images in splits.items():
+        (tmp_path / split).mkdir()
+        for i in images:
+            Image.new("RGB", SIZE, (10 * i, 0, 0)).save(tmp_path / split / f"r_{i}.png")
+        frames = [frame(0, file_path=f"./{split}/r_{i}", rotation=0.01) for i in images]
+        document = {"camera_angle_x": 2 * math.atan(0.5), "frames": frames}
+        if images:
+            (tmp_path / f"transforms_{split}.json").write_text(json.dumps(document))
+    capture = open_capture(tmp_path, LEVEL)
+    assert capture.frames == ["r_0", "r_2", "r_1"]  # train, then test
+    assert [capture.image(i)[0, 0, 0] for i in range(3)] == [0, 20, 10]
+    np.testing.assert_allclose(capture.K[0], [[40, 0, 19.5], [0, 40, 14.5], [0, 0, 1]])
+    assert (
+        len(
+            open_capture(
+                tmp_path / "transforms_train.json", ReadSettings(gravity=(0, 0, -1))
+            ).frames
+        )
+        == 2
+    )
+    (tmp_path / "transforms_train.json").write_text("{}")
+    with pytest.raises(TFLabError, match=r"transforms_train\.json: no list of frames"):
+        open_capture(tmp_path)
+    write(tmp_path, {**CAMERA, "frames": [frame(0)]})
+    assert open_capture(tmp_path, LEVEL).frames == ["0"]  # the whole goes first
+
+
+def test_the_scale_of_all_rotations_is_taken_out(
+    read: Read, caplog: pytest.LogCaptureFixture
+) -> None:
+    scaled = [[0.25 * value for value in row[:3]] + row[3:] for row in MATRIX[:3]]
+    mirrored = [[-value for value in row[:3]] + row[3:] for row in scaled]
+    frames = [frame(i, transform_matrix=[*scaled, MATRIX[3]]) for i in range(3)]
+    with caplog.at_level(logging.WARNING):
+        capture = read([*frames, frame(1, transform_matrix=mirrored), frame(1)], **CAMERA)
+    assert "scaled by 0.25; the scale is taken out, positions stay" in caplog.text
+    np.testing.assert_allclose(capture.world_T_cam, [EXPECTED] * 3, atol=1e-12)
+    assert len(capture.skipped) == 2  # the mirrored, and the one of another scale
+    assert all("not a rigid transform" in reason for reason in capture.skipped)
 
 
 def test_three_rows_are_a_pose(read: Read) -> None:
@@ -149,12 +192,24 @@ def test_lenses_are_straightened(
     assert np.abs(capture.image(0) - expected)[2:-2, 2:-2].max() < 2.5
 
 
-@pytest.mark.parametrize(("unit", "metres"), [(None, 1.5), (0.001, 1.5), (0.0002, 0.3)])
+NGP = ("depth_path", "integer_depth_scale")
+NERFSTUDIO = ("depth_file_path", "depth_unit_scale_factor")
+
+
+@pytest.mark.parametrize(
+    ("keys", "unit", "metres"),
+    [(NERFSTUDIO, None, 1.5), (NERFSTUDIO, 0.001, 1.5), (NERFSTUDIO, 0.0002, 0.3),
+     (NGP, 0.0002, 0.3)],
+)  # fmt: skip
 def test_depth_and_its_unit(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, unit: float | None, metres: float
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    keys: tuple[str, str],
+    unit: float | None,
+    metres: float,
 ) -> None:
-    said = {} if unit is None else {"depth_unit_scale_factor": unit}
-    frames = [frame(0, depth_file_path="depth/0.png"), frame(1), frame(2, depth_file_path="no.png")]
+    said = {} if unit is None else {keys[1]: unit}
+    frames = [frame(0, **{keys[0]: "depth/0.png"}), frame(1), frame(2, **{keys[0]: "no.png"})]
     folder = write(tmp_path, {**CAMERA, **said, "frames": frames})
     (folder / "depth").mkdir()
     raw = np.full((15, 20), 1500, np.uint16)  # of half the size
@@ -169,6 +224,13 @@ def test_depth_and_its_unit(
     assert capture.depth(1) is capture.depth(2) is None
     assert "1 of its depth files are missing" in caplog.text
     assert "no unit of length" not in caplog.text
+
+
+def test_depth_of_unknown_unit_is_left_out(read: Read, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        capture = read([frame(0, depth_path="images/1.png")], **CAMERA)
+    assert capture.depth(0) is None
+    assert "depth_path without integer_depth_scale is left out" in caplog.text
 
 
 def test_without_depth_the_unit_is_doubted(read: Read, caplog: pytest.LogCaptureFixture) -> None:
@@ -202,9 +264,9 @@ def test_frames_without_image_or_pose_are_skipped(read: Read) -> None:
     assert capture.frames == ["0"]
     reasons = "\n".join(capture.skipped)
     assert len(capture.skipped) == len(bad)
-    for reason in ("no image 'images/7.png'", "NaN or infinity", "no file_path", "not 4x4 or 3x4",
-                   "'wide', not a number", "'EQUIRECTANGULAR' is unknown", "k4 is for fisheye",
-                   "size of -3x30 is impossible"):  # fmt: skip
+    for reason in ("no image 'images/7.png'", "NaN or infinity", "no file_path",
+                   "not 16 or 12 numbers", "'wide', not a number", "'EQUIRECTANGULAR' is unknown",
+                   "k4 is for fisheye", "size of -3x30 is impossible"):  # fmt: skip
         assert reason in reasons
 
 
@@ -218,7 +280,7 @@ HUGE = '{"frames": 1' + "0" * 9999 + "}"
 )
 def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "transforms.json").write_text(text)
-    with pytest.raises(TFLabError, match=r"transforms\.json: (not json|no list of frames)"):
+    with pytest.raises(TFLabError, match=r"transforms\.json: (not json|no json object|no list of)"):
         open_capture(tmp_path)
 
 
@@ -230,7 +292,9 @@ def test_no_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", [0, -1, "1mm", None, math.inf, [1]])
 def test_a_depth_unit_that_is_none(read: Read, value: Any) -> None:
     with pytest.raises(TFLabError, match="depth_unit_scale_factor"):
-        read([frame(0)], **CAMERA, depth_unit_scale_factor=value)
+        read([frame(0, depth_file_path="0.png")], **CAMERA, depth_unit_scale_factor=value)
+    with pytest.raises(TFLabError, match="integer_depth_scale"):
+        read([frame(0, depth_path="0.png")], **CAMERA, integer_depth_scale=value)
 
 
 @pytest.mark.parametrize(

@@ -12,18 +12,29 @@ from layouts import (
     colmap_binary,
     colmap_text,
     plain,
+    polycam,
+    record3d,
+    replica,
+    scanner_app,
     scannet,
     sens,
+    sensreader,
     seven_scenes,
+    stray_scanner,
     transforms,
+    transforms_ngp,
+    transforms_splits,
     tum,
+    tum_associations,
     video,
 )
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame
 
 MODULES = (
-    plain, seven_scenes, scannet, sens, tum, transforms, colmap_text, colmap_binary, arkit, video,
+    plain, seven_scenes, scannet, sens, sensreader, tum, tum_associations, transforms,
+    transforms_ngp, transforms_splits, colmap_text, colmap_binary, arkit, stray_scanner,
+    scanner_app, polycam, record3d, replica, video,
 )  # fmt: skip
 LAYOUTS: dict[str, ModuleType] = {module.__name__.split(".")[-1]: module for module in MODULES}
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from layouts.transforms import opengl
 from layouts.video import write_video
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
@@ -14,6 +15,13 @@ OPTIONS = ReadSettings()
 START, RATE = 1700000000.25, 30.0
 # our world's x, y, z are ARKit's x, -z, y
 ARKIT_R_WORLD = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def arkit_pose(frame: Frame) -> np.ndarray:
+    """Camera to world [4, 4] as ARKit gives it: OpenGL's camera axes, y up."""
+    arkit_T_world = np.eye(4)
+    arkit_T_world[:3, :3] = ARKIT_R_WORLD
+    return arkit_T_world @ opengl(frame)
 
 
 def write(directory: Path, frames: Sequence[Frame]) -> Path:
@@ -26,10 +34,9 @@ def write(directory: Path, frames: Sequence[Frame]) -> Path:
         (fx, _, cx), (_, fy, cy), _ = frame.K
         intrinsics = f"{fx:f},{fy:f},{cx + 0.5:f},{cy + 0.5:f}"
         images.append(f"{START + i / RATE:f},{i},{intrinsics}")
-        right, down, forward, centre = frame.world_T_cam[:3].T
-        rotation = ARKIT_R_WORLD @ np.stack([right, -down, -forward], axis=1)
-        qx, qy, qz, qw = Rotation.from_matrix(rotation).as_quat()
-        x, y, z = ARKIT_R_WORLD @ centre
+        arkit_T_cam = arkit_pose(frame)
+        qx, qy, qz, qw = Rotation.from_matrix(arkit_T_cam[:3, :3]).as_quat()
+        x, y, z = arkit_T_cam[:3, 3]
         pose = f"{x:f},{y:f},{z:f},{qw:f},{qx:f},{qy:f},{qz:f}"
         poses.append(f"{START + i / RATE:f},{pose}")
         # ARKit goes on while a frame is written: poses without an image

@@ -13,6 +13,12 @@ from tf_lab.data.scene import Frame
 OPTIONS = ReadSettings(gravity=(0, 0, -1))
 
 
+def opengl(frame: Frame) -> np.ndarray:
+    """Camera to world [4, 4] with the camera's axes x right, y up, z back."""
+    right, down, forward, centre = frame.world_T_cam[:3].T
+    return np.vstack([np.stack([right, -down, -forward, centre], axis=1), [0, 0, 0, 1]])
+
+
 def write(directory: Path, frames: Sequence[Frame]) -> Path:
     """Write the frames and return what to open."""
     (directory / "images").mkdir(parents=True)
@@ -22,13 +28,11 @@ def write(directory: Path, frames: Sequence[Frame]) -> Path:
         Image.fromarray(frame.image).save(directory / "images" / f"frame_{i}.png")
         units = np.round(frame.depth * 10000).astype(np.uint16)
         Image.fromarray(units).save(directory / "depth" / f"frame_{i}.png")
-        right, down, forward, centre = frame.world_T_cam[:3].T
-        matrix = np.vstack([np.stack([right, -down, -forward, centre], axis=1), [0, 0, 0, 1]])
         entries.append(
             {
                 "file_path": f"images/frame_{i}.png",
                 "depth_file_path": f"depth/frame_{i}.png",
-                "transform_matrix": matrix.tolist(),
+                "transform_matrix": opengl(frame).tolist(),
             }
         )
     height, width = frames[0].image.shape[:2]

@@ -7,9 +7,8 @@
     ARposes.txt     "timestamp,tx,ty,tz,qw,qx,qy,qz" a line: camera to world, metres
 
 Both texts carry the timestamps of ARKit's frames; a frame takes the pose of the nearest, at most
-0.02 s away. ARKit's camera has x along the long side of the phone, which is the right of the images
-as stored, y up and z back, however the phone is held; the video's orientation is ignored. Its world
-is metric, y points up. Apple measures cx, cy from the corner of the image: pixel centres at 0.5.
+0.02 s away. Cameras and world are ARKit's (see `apps`), of the images as stored, however the phone
+is held; the video's orientation is ignored.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from tf_lab.data.lens import Camera
+from tf_lab.data.readers.apps import DOWN, arkit_camera
 from tf_lab.data.readers.frames_of_video import Video, VideoFrame
 from tf_lab.data.readers.images import image_files, image_size
 from tf_lab.data.readers.parsing import (
@@ -36,8 +36,6 @@ from tf_lab.errors import TFLabError
 NAME = "arkit"
 LAYOUT = "Frames.txt, ARposes.txt, Frames.m4v or images/"
 CONVENTION = Convention(axes="opengl", quaternions="wxyz")
-DOWN = (0.0, -1.0, 0.0)
-OFF_CENTRE = 0.1  # of the image: principal points of phones are nearer to its middle
 
 
 def detect(directory: Path) -> bool:
@@ -90,13 +88,7 @@ def _images(directory: Path, lines: Timeline) -> tuple[tuple[int, int], Sequence
 
 def _camera(words: Sequence[str], size: tuple[int, int]) -> Camera:
     fx, fy, cx, cy = (float(word) for word in words)
-    camera = Camera(size, fx, fy, cx - 0.5, cy - 0.5)
-    if max(abs(cx / size[0] - 0.5), abs(cy / size[1] - 0.5)) > OFF_CENTRE:
-        raise ValueError(
-            f"({cx:g}, {cy:g}) is not near the middle of {size[0]}x{size[1]} images; give them in "
-            "the size and orientation they were taken in"
-        )
-    return camera
+    return arkit_camera(size, fx, fy, cx, cy)
 
 
 def _pose(poses: Timeline, time: float) -> np.ndarray:

@@ -2,22 +2,25 @@
 
 ::
 
-    images/                         the images, by the names that the model has for them
+    images/                         or input/: the images, by the names that the model has for them
     sparse/0/cameras.bin, images.bin    or .txt; or in sparse/, or in the folder itself
 
-The model has no unit of length (`open_capture` asks for the scale) and no gravity. Its camera is
-OpenCV's, but the centre of the first pixel is at (0.5, 0.5). Images may have been made smaller
-after the reconstruction, as a whole and in the same shape: the camera follows.
+Of several models in sparse/ (COLMAP makes one of each part that it could not join to the others)
+that with the most images is read, and the log says so; to read another, open its folder. The model
+has no unit of length (`open_capture` asks for the scale) and no gravity. Its camera is OpenCV's,
+but the centre of the first pixel is at (0.5, 0.5). Images may have been made smaller after the
+reconstruction, as a whole and in the same shape: the camera follows.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tf_lab.data.readers.colmap_model import ModelImage, has_model, read_model
+from tf_lab.data.readers.colmap_model import ModelImage, count_images, has_model, read_model
 from tf_lab.data.readers.images import at_file_size, frame_names, is_file, natural_order
 from tf_lab.data.readers.parsing import pose_of_quaternion
 from tf_lab.data.readers.settings import Convention
@@ -27,13 +30,14 @@ from tf_lab.errors import TFLabError
 NAME = "colmap"
 LAYOUT = "images/, sparse/0/ with cameras and images (.bin or .txt)"
 CONVENTION = Convention(poses="world_to_camera", quaternions="wxyz")
+IMAGE_FOLDERS = ("images", "input")  # COLMAP's own, and that of 3D Gaussian splatting
 
 logger = logging.getLogger(__name__)
 
 
 def detect(directory: Path) -> bool:
     """Whether there is a model where one is looked for."""
-    return _model(directory) is not None
+    return bool(_models(directory))
 
 
 def read(directory: Path) -> SourceCapture:
@@ -42,14 +46,16 @@ def read(directory: Path) -> SourceCapture:
     Raises:
         TFLabError: the model or the images are missing or damaged, or no image is usable.
     """
-    model = _model(directory)
-    if model is None:
+    models = _models(directory)
+    if not models:
         raise TFLabError(f"{directory}: no sparse model in it; looked for {LAYOUT}")
-    count = sum(has_model(folder) for folder in model.parent.iterdir())
-    if model != directory and count > 1:
-        logger.warning("%s: one of %d models; the others are left out", model, count)
+    counts = [count_images(model) for model in models]
+    model = models[counts.index(max(counts))]
+    if len(models) > 1:
+        logger.warning("%s: the largest of %d models, with %d images of %d; to read another, open "
+                       "its folder", model, len(models), max(counts), sum(counts))  # fmt: skip
     cameras, images = read_model(model)
-    folder = _images(model)
+    folder = _images(model, [image.name for image in images])
     found, skipped = [], []
     for image in sorted(images, key=lambda image: natural_order(PurePosixPath(image.name))):
         file = folder / image.name
@@ -70,21 +76,24 @@ def read(directory: Path) -> SourceCapture:
     return collect(directory, frames, skipped, metric=False, convention=CONVENTION)
 
 
-def _model(directory: Path) -> Path | None:
-    """The folder of the model."""
-    candidates = (directory / "sparse" / "0", directory / "sparse", directory)
-    return next((folder for folder in candidates if has_model(folder)), None)
+def _models(directory: Path) -> list[Path]:
+    """The folders of the models: those in sparse/, or that, or the folder itself."""
+    sparse = directory / "sparse"
+    inner = sorted(sparse.iterdir(), key=natural_order) if sparse.is_dir() else []
+    several = [folder for folder in inner if has_model(folder)]
+    return several or [folder for folder in (sparse, directory) if has_model(folder)][:1]
 
 
-def _images(model: Path) -> Path:
-    """The folder of the images, beside the model or above it."""
+def _images(model: Path, names: Sequence[str]) -> Path:
+    """The folder of the images, beside the model or above it: the first that has one of them."""
     above = model.resolve()
-    candidates = [folder / "images" for folder in (above, *above.parents[:2])]
-    found = next((folder for folder in candidates if folder.is_dir()), None)
-    if found is None:
+    candidates = [f / name for f in (above, *above.parents[:2]) for name in IMAGE_FOLDERS]
+    found = [folder for folder in candidates if folder.is_dir()]
+    if not found:
         looked = ", ".join(map(str, candidates))
         raise TFLabError(f"{model}: no folder of images with it; looked for {looked}")
-    return found
+    holding = (folder for folder in found if any(is_file(folder / name) for name in names))
+    return next(holding, found[0])
 
 
 def _pose(image: ModelImage) -> np.ndarray:

@@ -19,6 +19,7 @@ from tf_lab.errors import TFLabError
 CURE = "write the model again with COLMAP's model_converter"
 MAX_LINE = 2**24  # bytes; a line may hold all the points of an image
 
+_IMAGE_SIZE = 73  # bytes at least of an image in images.bin
 _FISHEYE = "FISHEYE"  # of the models' names
 _MODELS = {
     "SIMPLE_PINHOLE": (0, "f cx cy"),
@@ -53,6 +54,17 @@ class ModelImage:
 def has_model(folder: Path) -> bool:
     """Whether a folder holds a sparse model."""
     return _suffix(folder) is not None
+
+
+def count_images(folder: Path) -> int:
+    """How many images a model has; 0 if that cannot be told."""
+    try:
+        if _suffix(folder) == ".bin":
+            return _Bytes(folder / "images.bin").count(size=_IMAGE_SIZE)
+        lines = (line for _, line in _lines(folder / "images.txt") if not line.startswith("#"))
+        return sum(1 for _ in lines) // 2
+    except (OSError, ValueError):
+        return 0
 
 
 def read_model(folder: Path) -> tuple[dict[int, Camera], list[ModelImage]]:
@@ -199,7 +211,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
 
 def _binary_images(path: Path) -> Iterator[ModelImage]:
     data = _Bytes(path)
-    for _ in range(data.count(size=73)):
+    for _ in range(data.count(size=_IMAGE_SIZE)):
         _, *numbers, camera = data.numbers("<I7dI")
         name = data.text()
         data.skip(data.count(size=24) * 24)

@@ -69,20 +69,22 @@ def _is_export(path: Path) -> bool:
     return all(part.is_dir() for part in parts) and _intrinsics(path, "color").is_file()
 
 
-def _camera(K: np.ndarray, size: tuple[int, int], where: str) -> Camera:
+def camera_of_matrix(K: np.ndarray, size: tuple[int, int], where: str) -> Camera:
+    """The camera of intrinsics [4, 4]. Raises TFLabError, naming ``where``."""
     try:
         return camera_of(K[:3, :3], size)
     except TFLabError as error:
         raise TFLabError(f"{where}: {error}") from error
 
 
-def _rigid(extrinsics: np.ndarray, where: str) -> np.ndarray:
+def rigid(extrinsics: np.ndarray, where: str) -> np.ndarray:
+    """The extrinsics [4, 4]. Raises TFLabError, naming ``where``: they are no rigid transform."""
     if not is_valid_pose(torch.from_numpy(extrinsics)):
         raise TFLabError(f"{where}: these extrinsics are not a rigid transform")
     return extrinsics
 
 
-def _color_T_depth(color: np.ndarray, depth: np.ndarray) -> np.ndarray | None:
+def color_T_depth_of(color: np.ndarray, depth: np.ndarray) -> np.ndarray | None:
     """From both extrinsics [4, 4]; None for the identity."""
     color_T_depth = np.linalg.inv(color) @ depth
     return None if np.allclose(color_T_depth, np.eye(4), atol=1e-6) else color_T_depth
@@ -91,13 +93,15 @@ def _color_T_depth(color: np.ndarray, depth: np.ndarray) -> np.ndarray | None:
 def _read_stream(source: Path, path: Path) -> SourceCapture:
     sens = open_sens(path)
     header = sens.header
-    has_depth = header.depth_size != (0, 0)
+    depth = None
+    if header.depth_size != (0, 0):
+        depth = camera_of_matrix(header.depth_K, header.depth_size, f"{path}, depth")
     rig = Rig(
-        _camera(header.color_K, header.color_size, f"{path}, colour"),
-        _camera(header.depth_K, header.depth_size, f"{path}, depth") if has_depth else None,
-        _color_T_depth(
-            _rigid(header.color_extrinsics, f"{path}, colour"),
-            _rigid(header.depth_extrinsics, f"{path}, depth"),
+        camera_of_matrix(header.color_K, header.color_size, f"{path}, colour"),
+        depth,
+        color_T_depth_of(
+            rigid(header.color_extrinsics, f"{path}, colour"),
+            rigid(header.depth_extrinsics, f"{path}, depth"),
         ),
     )
     frames = [
@@ -116,7 +120,7 @@ def _read_export(directory: Path) -> SourceCapture:
     if depths:
         depth = _export_camera(directory, "depth", list(depths.values()))
     extrinsics = _extrinsics(directory, "color"), _extrinsics(directory, "depth")
-    rig = Rig(color, depth, _color_T_depth(*extrinsics))
+    rig = Rig(color, depth, color_T_depth_of(*extrinsics))
     posed = sorted(path.stem for path in (directory / "pose").glob("*.txt"))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
@@ -138,9 +142,9 @@ def _intrinsics(directory: Path, camera: str) -> Path:
 def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:
     path = _intrinsics(directory, camera)
     K = read_pose(path, CURE)
-    return _camera(K, image_size(images, (K[0, 2], K[1, 2])), str(path))
+    return camera_of_matrix(K, image_size(images, (K[0, 2], K[1, 2])), str(path))
 
 
 def _extrinsics(directory: Path, camera: str) -> np.ndarray:
     path = directory / "intrinsic" / f"extrinsic_{camera}.txt"
-    return _rigid(read_pose(path, CURE), str(path)) if path.exists() else np.eye(4)
+    return rigid(read_pose(path, CURE), str(path)) if path.exists() else np.eye(4)

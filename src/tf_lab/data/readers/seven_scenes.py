@@ -40,8 +40,8 @@ PUBLISHED = Rig(COLOR, DEPTH, COLOR_T_DEPTH)
 
 
 def detect(directory: Path) -> bool:
-    """Whether the directory holds a frame's colour image."""
-    return any(directory.glob("frame-*.color.*"))
+    """Whether the directory holds a frame's colour image, and is not of `sensreader`."""
+    return not (directory / "_info.txt").is_file() and any(directory.glob("frame-*.color.*"))
 
 
 def read(directory: Path) -> SourceCapture:

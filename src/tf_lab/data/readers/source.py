@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,11 +14,14 @@ import torch
 
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.data.lens import Camera, rectify_image, register_depth
+from tf_lab.data.readers.scaled_rotations import unscaled
 from tf_lab.data.readers.settings import OURS, Convention
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 
 MAX_DISTANCE = 1e8  # units of the source; geocentric coordinates in metres are smaller
+
+logger = logging.getLogger(__name__)
 
 
 class Pixels(Protocol):
@@ -204,8 +208,13 @@ def collect(
     metric: bool = True,
     convention: Convention = OURS,
 ) -> SourceCapture:
-    """The capture of what a reader found (see `Given` and `usable`)."""
-    given = Given(source, [_sized(f) for f in frames], skipped, down, metric, convention)
+    """The capture of what a reader found (see `Given` and `usable`).
+
+    Rotations that are all scaled by one factor, as Blender and instant-ngp write those of scaled
+    cameras, lose it, and the log says so.
+    """
+    sized = _unscaled(source, [_sized(frame) for frame in frames])
+    given = Given(source, sized, skipped, down, metric, convention)
     return usable(given, centred=False)  # intrinsics may still be mended
 
 
@@ -274,6 +283,17 @@ def _sized(frame: SourceFrame) -> SourceFrame:
     if not isinstance(frame.color, ColorFile):
         return frame
     return replace(frame, color=replace(frame.color, size=frame.camera.size))
+
+
+def _unscaled(source: Path, frames: Sequence[SourceFrame]) -> list[SourceFrame]:
+    """The frames without the factor that their rotations are scaled by."""
+    if not frames:
+        return []
+    poses, factor = unscaled(np.stack([frame.world_T_cam for frame in frames]))
+    if factor != 1:
+        logger.warning("%s: the rotations of its poses are scaled by %.4g; the scale is taken out, "
+                       "positions stay", source, factor)  # fmt: skip
+    return [replace(f, world_T_cam=pose) for f, pose in zip(frames, poses, strict=True)]
 
 
 def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:

@@ -14,8 +14,11 @@
 
 What is said of the camera may also be said of a single frame, which goes first. ``camera_angle_x``
 (and ``_y``), the field of view in radians, may stand for the focal lengths; the principal point is
-the middle of the image without cx, cy, and w, h are those of the images. Depth is in units of
-``depth_unit_scale_factor`` metres, 0.001 without it.
+the middle of the image without cx, cy, and w, h are those of the images. nerfstudio's depth is in
+units of ``depth_unit_scale_factor`` metres, 0.001 without it; instant-ngp calls the file
+``depth_path`` and needs the unit, ``integer_depth_scale``. Where ``transforms_train.json``,
+``transforms_val.json`` and ``transforms_test.json`` stand instead, the capture is all of them, in
+this order.
 
 Camera axes are OpenGL's: x right, y up, z back. cx, cy are measured from the corner of the image:
 both programs put the centre of the first pixel at (0.5, 0.5) when they cast its ray, and take cx
@@ -25,7 +28,6 @@ and no gravity: the poses are taken as metres.
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from dataclasses import dataclass
@@ -35,6 +37,7 @@ from typing import Any
 import numpy as np
 
 from tf_lab.data.lens import Camera
+from tf_lab.data.readers.fields import number, numbers, read_document
 from tf_lab.data.readers.images import (
     at_file_size,
     frame_names,
@@ -42,15 +45,21 @@ from tf_lab.data.readers.images import (
     is_file,
     natural_order,
 )
-from tf_lab.data.readers.parsing import opencv_of_opengl, read_text
+from tf_lab.data.readers.parsing import opencv_of_opengl
 from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
 from tf_lab.errors import TFLabError
 
 NAME = "transforms"
-LAYOUT = "transforms.json"
+LAYOUT = "transforms.json, or transforms_train.json"
 CONVENTION = Convention(axes="opengl")
-DEPTH_UNIT = 0.001  # metres
+WHOLE = "transforms.json"
+SPLITS = tuple(f"transforms_{split}.json" for split in ("train", "val", "test"))
+NGP_UNIT = "integer_depth_scale"
+DEPTHS = (  # the key of a depth map, that of its unit in metres, and what this is without it
+    ("depth_file_path", "depth_unit_scale_factor", 0.001),
+    ("depth_path", NGP_UNIT, None),
+)
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 FISHEYE = "OPENCV_FISHEYE"
@@ -71,63 +80,71 @@ def detect(path: Path) -> bool:
     """Whether it is such a json, or the folder of one."""
     if path.is_file():
         return path.suffix.lower() == ".json"
-    return (path / LAYOUT).is_file()
+    return any((path / name).is_file() for name in (WHOLE, SPLITS[0]))
 
 
 def read(path: Path) -> SourceCapture:
     """The capture in its own world frame, in natural order of the images' paths.
 
     Raises:
-        TFLabError: the json is missing or not one, or no frame is usable.
+        TFLabError: a json is missing or not one, or no frame is usable.
     """
-    file = path if path.is_file() else path / LAYOUT
-    document = _read_json(file)
-    entries, skipped = _entries(file, document)
+    folder = path.parent if path.is_file() else path
+    entries, skipped = [], []
+    for file in _files(path):
+        found, lost = _entries(file, _read(file))
+        entries += found
+        skipped += lost
     default = _default_size(entries)
-    found = []
+    posed = []
     for entry in entries:
         try:
-            found.append((entry, _pose(entry.settings), _camera(entry.settings, default)))
+            posed.append((entry, _pose(entry.settings), _camera(entry.settings, default)))
         except (ValueError, TFLabError) as error:
             skipped.append(f"{entry.file}: {error}")
-    names = frame_names([entry.file for entry, _, _ in found])
+    names = frame_names([entry.file for entry, _, _ in posed])
     cameras = at_file_size(
-        [camera for _, _, camera in found], [entry.color for entry, _, _ in found]
+        [camera for _, _, camera in posed], [entry.color for entry, _, _ in posed]
     )
-    depths = _depths(file, document, [entry for entry, _, _ in found])
+    depths = _depths(folder, [entry for entry, _, _ in posed])
     frames = [
         SourceFrame(name, camera, pose, ColorFile(entry.color), depth)
-        for name, camera, depth, (entry, pose, _) in zip(names, cameras, depths, found, strict=True)
+        for name, camera, depth, (entry, pose, _) in zip(names, cameras, depths, posed, strict=True)
     ]
-    return collect(file.parent, frames, skipped, convention=CONVENTION)
+    return collect(folder, frames, skipped, convention=CONVENTION)
 
 
-def _read_json(file: Path) -> dict[str, Any]:
+def _files(path: Path) -> list[Path]:
+    """The json files of a capture."""
+    if path.is_file():
+        return [path]
+    splits = [path / name for name in SPLITS if (path / name).is_file()]
+    return [path / WHOLE] if (path / WHOLE).is_file() or not splits else splits
+
+
+def _read(file: Path) -> dict[str, Any]:
     cure = 'a transforms.json is {"frames": [...], ...} (see nerfstudio or instant-ngp)'
-    try:
-        document = json.loads(read_text(file, cure))
-    except (ValueError, RecursionError) as error:
-        raise TFLabError(f"{file}: not json ({str(error)[:80]}); {cure}") from error
-    frames = document.get("frames") if isinstance(document, dict) else None
+    document = read_document(file, cure)
+    frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise TFLabError(f"{file}: no list of frames in it; {cure}")
-    return dict(document)
+    return document
 
 
 def _entries(file: Path, document: dict[str, Any]) -> tuple[list[_Entry], list[str]]:
     """The frames with an image, in natural order, and what is wrong with the others."""
     entries, skipped = [], []
-    for number, frame in enumerate(document["frames"]):
+    for i, frame in enumerate(document["frames"]):
         path = frame.get("file_path") if isinstance(frame, dict) else None
         if not isinstance(path, str) or not path:
-            skipped.append(f"frame {number}: no file_path")
+            skipped.append(f"frame {i}: no file_path")
             continue
         path = path.replace("\\", "/")  # written on Windows
         color = next(
             (c for c in (file.parent / f"{path}{s}" for s in SUFFIXES) if is_file(c)), None
         )
         if color is None:
-            skipped.append(f"frame {number}: no image {path[:200]!r}")
+            skipped.append(f"frame {i}: no image {path[:200]!r}")
             continue
         entries.append(_Entry(Path(path).parent / color.name, {**document, **frame}, color))
     return sorted(entries, key=lambda entry: natural_order(entry.file)), skipped
@@ -140,26 +157,9 @@ def _default_size(entries: list[_Entry]) -> tuple[int, int]:
     return image_size([entry.color for entry in entries])
 
 
-def _number(settings: dict[str, Any], key: str, default: float | None = None) -> float:
-    """A finite number. Raises ValueError: it is missing, or something else."""
-    value = settings.get(key, default)
-    try:
-        number = math.nan if isinstance(value, (bool, str)) else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise ValueError(f"{key} is {str(value)[:40]!r}, not a number")
-    return number
-
-
 def _pose(settings: dict[str, Any]) -> np.ndarray:
     """world_T_cam [4, 4], OpenCV. Raises ValueError: it is none."""
-    try:
-        matrix = np.array(settings.get("transform_matrix"), np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape not in ((4, 4), (3, 4)):
-        raise ValueError("its transform_matrix is not 4x4 or 3x4 numbers")
+    matrix = numbers(settings, "transform_matrix", 16, 12).reshape(-1, 4)
     pose = np.eye(4)
     pose[: len(matrix)] = matrix
     return opencv_of_opengl(pose)
@@ -167,17 +167,17 @@ def _pose(settings: dict[str, Any]) -> np.ndarray:
 
 def _camera(settings: dict[str, Any], default: tuple[int, int]) -> Camera:
     """The camera of a frame. Raises ValueError or TFLabError: it is not one, or not a known one."""
-    width, height = (_number(settings, k, d) for k, d in zip("wh", default, strict=True))
+    width, height = (number(settings, k, d) for k, d in zip("wh", default, strict=True))
     size = (round(width), round(height))
     if "fl_x" not in settings and "camera_angle_x" in settings:
         fx = 0.5 * width / math.tan(0.5 * _angle(settings, "camera_angle_x"))
     else:
-        fx = _number(settings, "fl_x")
+        fx = number(settings, "fl_x")
     if "fl_y" not in settings and "fl_x" not in settings and "camera_angle_y" in settings:
         fy = 0.5 * height / math.tan(0.5 * _angle(settings, "camera_angle_y"))
     else:
-        fy = _number(settings, "fl_y", fx)
-    cx, cy = _number(settings, "cx", width / 2), _number(settings, "cy", height / 2)
+        fy = number(settings, "fl_y", fx)
+    cx, cy = number(settings, "cx", width / 2), number(settings, "cy", height / 2)
     model = settings.get("camera_model", FISHEYE if settings.get("is_fisheye") else "OPENCV")
     if model not in (*PERSPECTIVE, FISHEYE):
         raise ValueError(
@@ -185,34 +185,45 @@ def _camera(settings: dict[str, Any], default: tuple[int, int]) -> Camera:
             f"{FISHEYE}; undistort the images for one of these"
         )
     keys = ("k1", "k2", "k3", "k4") if model == FISHEYE else ("k1", "k2", "p1", "p2", "k3")
-    if model != FISHEYE and _number(settings, "k4", 0):
+    if model != FISHEYE and number(settings, "k4", 0):
         raise ValueError("k4 is for fisheye lenses; a perspective one has k1, k2, k3, p1, p2")
-    distortion = tuple(_number(settings, key, 0) for key in keys)
+    distortion = tuple(number(settings, key, 0) for key in keys)
     return Camera(
         size, fx, fy, cx - 0.5, cy - 0.5, distortion if any(distortion) else (), model == FISHEYE
     )
 
 
 def _angle(settings: dict[str, Any], key: str) -> float:
-    angle = _number(settings, key)
+    angle = number(settings, key)
     if not 0 < angle < math.pi:
         raise ValueError(f"{key} is {angle:g}, not a field of view in radians")
     return angle
 
 
-def _depths(file: Path, document: dict[str, Any], entries: list[_Entry]) -> list[DepthFile | None]:
+def _depths(folder: Path, entries: list[_Entry]) -> list[DepthFile | None]:
     """Where the frames' depth maps are. Raises TFLabError: their unit is not one."""
     try:
-        unit = _number(document, "depth_unit_scale_factor", DEPTH_UNIT)
-        if unit <= 0:
-            raise ValueError(f"depth_unit_scale_factor is {unit:g}: metres a unit, positive")
+        named = [_depth(folder, entry.settings) for entry in entries]
     except ValueError as error:
-        raise TFLabError(f"{file}: {error}") from error
-    paths = [entry.settings.get("depth_file_path") for entry in entries]
-    named = [file.parent / p.replace("\\", "/") if isinstance(p, str) else None for p in paths]
-    depths = [DepthFile(d, 1 / unit) if d is not None and is_file(d) else None for d in named]
+        raise TFLabError(f"{folder}: {error}") from error
+    depths = [depth if depth is not None and is_file(depth.path) else None for depth in named]
     if missing := sum(d is not None for d in named) - sum(d is not None for d in depths):
-        logger.warning("%s: %d of its depth files are missing", file, missing)
+        logger.warning("%s: %d of its depth files are missing", folder, missing)
+    if any("depth_path" in e.settings and NGP_UNIT not in e.settings for e in entries):
+        logger.warning("%s: depth_path without %s is left out: its unit is unknown; give %s, "
+                       "metres a unit", folder, NGP_UNIT, NGP_UNIT)  # fmt: skip
     if not any(depths):
-        logger.warning("%s: it states no unit of length; its poses are taken as metres", file)
+        logger.warning("%s: it states no unit of length; its poses are taken as metres", folder)
     return depths
+
+
+def _depth(folder: Path, settings: dict[str, Any]) -> DepthFile | None:
+    """The depth map that a frame names, there or not. Raises ValueError: its unit is not one."""
+    for key, unit, default in DEPTHS:
+        path = settings.get(key)
+        if isinstance(path, str) and (unit in settings or default is not None):
+            metres = number(settings, unit, default)
+            if metres <= 0:
+                raise ValueError(f"{unit} is {metres:g}: metres a unit, positive")
+            return DepthFile(folder / path.replace("\\", "/"), 1 / metres)
+    return None

@@ -6,18 +6,22 @@
     groundtruth.txt             "timestamp tx ty tz qx qy qz qw" a line, camera to world, metres
     depth.txt                   "timestamp depth/FILE.png" a line (optional): 16-bit, 5000 units a
                                 metre, 0 = no reading, registered to the colour image
+    associations.txt            instead of rgb.txt and depth.txt: "timestamp FILE timestamp FILE" a
+                                line, colour and depth in either order (the path tells)
     camera-intrinsics.txt       3x3, of undistorted images; or K.txt. Without them the published
                                 calibration of the freiburg1, 2 or 3 in the folder's name
 
 Lines that start with # are comments. A colour image gets the depth map and the pose of the nearest
 timestamps, at most 0.02 s away as in the benchmark's own tool; without a pose it is skipped,
-without depth it stays. The world is that of the motion capture, its z axis points up.
+without depth it stays. The three cameras differ in their colour intrinsics, not in the scale of
+depth: the depth images were published with each sensor's own correction (1.035, 1.031, 1.000)
+applied. The world is that of the motion capture, its z axis points up.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +40,8 @@ from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, Sour
 from tf_lab.errors import TFLabError
 
 NAME = "tum"
-LAYOUT = "rgb.txt, groundtruth.txt"
+LAYOUT = "rgb.txt or associations.txt, groundtruth.txt"
+ASSOCIATIONS = "associations.txt"
 CONVENTION = Convention(quaternions="xyzw")
 DOWN = (0.0, 0.0, -1.0)
 DEPTH_SCALE = 5000.0  # units a metre
@@ -58,7 +63,8 @@ _CALIBRATIONS = {  # of the colour cameras, as published; freiburg3's images are
 
 def detect(directory: Path) -> bool:
     """Whether the lists of images and poses are there."""
-    return all((directory / name).is_file() for name in ("rgb.txt", "groundtruth.txt"))
+    images = any((directory / name).is_file() for name in ("rgb.txt", ASSOCIATIONS))
+    return images and (directory / "groundtruth.txt").is_file()
 
 
 def read(directory: Path) -> SourceCapture:
@@ -67,14 +73,10 @@ def read(directory: Path) -> SourceCapture:
     Raises:
         TFLabError: a list is missing or damaged, no frame is usable, or the camera is unknown.
     """
-    colors = read_timeline(directory / "rgb.txt", "file")
     poses = read_timeline(directory / "groundtruth.txt", "tx ty tz qx qy qz qw")
-    depths = Timeline([], [])
-    if (directory / "depth.txt").exists():
-        depths = read_timeline(directory / "depth.txt", "file")
     kept: dict[str, tuple[Path, np.ndarray, DepthFile | None]] = {}
     skipped = []
-    for time, (file,) in zip(colors.times, colors.values, strict=True):
+    for time, file, depth in _images(directory):
         color = directory / file
         try:
             if color.stem in kept:
@@ -85,7 +87,7 @@ def read(directory: Path) -> SourceCapture:
         except ValueError as error:
             skipped.append(f"{color.stem}: {error}")
             continue
-        kept[color.stem] = color, pose, _depth(directory, depths.nearest(time))
+        kept[color.stem] = color, pose, _depth(directory, depth)
     if not kept:
         return collect(directory, [], skipped)
     camera = _camera(directory, image_size([color for color, _, _ in kept.values()]))
@@ -96,6 +98,31 @@ def read(directory: Path) -> SourceCapture:
     return collect(directory, frames, skipped, DOWN, convention=CONVENTION)
 
 
+def _images(directory: Path) -> Iterator[tuple[float, str, str | None]]:
+    """The time, the colour image and the depth map of each frame, as the lists name them."""
+    if not (directory / "rgb.txt").is_file() and (directory / ASSOCIATIONS).is_file():
+        pairs = read_timeline(directory / ASSOCIATIONS, "file timestamp file")
+        for time, (first, other_time, second) in zip(pairs.times, pairs.values, strict=True):
+            if "depth" in first and "depth" not in second:
+                yield _seconds(other_time, directory), second, first
+            else:
+                yield time, first, second
+        return
+    colors = read_timeline(directory / "rgb.txt", "file")
+    listed = (directory / "depth.txt").exists()
+    depths = read_timeline(directory / "depth.txt", "file") if listed else Timeline([], [])
+    for time, (file,) in zip(colors.times, colors.values, strict=True):
+        words = depths.nearest(time)
+        yield time, file, None if words is None else words[0]
+
+
+def _seconds(word: str, directory: Path) -> float:
+    try:
+        return float(word)
+    except ValueError as error:
+        raise TFLabError(f"{directory / ASSOCIATIONS}: {word[:40]!r} is no timestamp") from error
+
+
 def _pose(words: Sequence[str] | None) -> np.ndarray:
     """The pose [4, 4] of a line. Raises ValueError: it is none, or not one."""
     if words is None:
@@ -104,10 +131,10 @@ def _pose(words: Sequence[str] | None) -> np.ndarray:
     return pose_of_quaternion((qw, qx, qy, qz), (tx, ty, tz))
 
 
-def _depth(directory: Path, words: Sequence[str] | None) -> DepthFile | None:
-    if words is None or not is_file(directory / words[0]):
+def _depth(directory: Path, file: str | None) -> DepthFile | None:
+    if file is None or not is_file(directory / file):
         return None
-    return DepthFile(directory / words[0], DEPTH_SCALE)
+    return DepthFile(directory / file, DEPTH_SCALE)
 
 
 def _camera(directory: Path, size: tuple[int, int]) -> Camera:

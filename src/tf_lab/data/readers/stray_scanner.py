@@ -1,0 +1,94 @@
+"""A recording of the app Stray Scanner (iPhone and iPad with LiDAR).
+
+::
+
+    rgb.mp4                 the camera's images as the sensor has them (lying)
+    camera_matrix.csv       3x3 of these images, pixels
+    odometry.csv            "timestamp, frame, x, y, z, qx, qy, qz, qw" a line, under a line of
+                            these names: camera to world, metres
+    depth/000000.png        or .npy, by the number of the frame: millimetres (optional)
+    confidence/000000.png   0 low, 1 medium, 2 high (optional)
+
+The app turns ARKit's camera axes into x right, y down, z forward; the world is ARKit's (see
+`apps`), and so is the principal point.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from tf_lab.data.readers.apps import DOWN, arkit_camera, confident_depth
+from tf_lab.data.readers.frames_of_video import Video, VideoFrame
+from tf_lab.data.readers.parsing import pose_of_quaternion, read_intrinsics
+from tf_lab.data.readers.settings import Convention
+from tf_lab.data.readers.source import Pixels, SourceCapture, SourceFrame, collect
+from tf_lab.data.text import read_lines
+from tf_lab.errors import TFLabError
+
+NAME = "stray_scanner"
+LAYOUT = "odometry.csv, camera_matrix.csv, rgb.mp4"
+CONVENTION = Convention(quaternions="xyzw")
+COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+MAX_FRAME = 10**7
+
+
+def detect(directory: Path) -> bool:
+    """Whether the poses and the camera are there."""
+    return all((directory / name).is_file() for name in ("odometry.csv", "camera_matrix.csv"))
+
+
+def read(directory: Path) -> SourceCapture:
+    """The recording in ARKit's world.
+
+    Raises:
+        TFLabError: a part is missing or damaged, or no frame is usable.
+    """
+    video = Video(directory / "rgb.mp4", upright=False)
+    file = directory / "camera_matrix.csv"
+    given = read_intrinsics(file, video.size)
+    try:
+        camera = arkit_camera(video.size, given.fx, given.fy, given.cx, given.cy)
+    except ValueError as error:
+        raise TFLabError(f"{file}: {error}") from error
+    poses, skipped = _poses(directory / "odometry.csv")
+    count = video.count(1 + max(poses, default=-1))
+    skipped += [f"{index:06d}: not one of the {count} images" for index in poses if index >= count]
+    frames = [
+        SourceFrame(
+            f"{index:06d}", camera, pose, VideoFrame(video, index), _depth(directory, index)
+        )
+        for index, pose in sorted(poses.items())
+        if index < count
+    ]
+    return collect(directory, frames, skipped, DOWN, convention=CONVENTION)
+
+
+def _poses(file: Path) -> tuple[dict[int, np.ndarray], list[str]]:
+    """world_T_cam [4, 4] by the number of the frame, and what is wrong with the other lines."""
+    cure = f"its first line names the columns: timestamp, {', '.join(COLUMNS)}"
+    lines = read_lines(file, cure)
+    rows = list(csv.reader((line for _, line in lines), skipinitialspace=True))
+    names = [name.strip() for name in rows[0]] if rows else []
+    if missing := [name for name in COLUMNS if name not in names]:
+        raise TFLabError(f"{file}: no column {missing[0]}; {cure}")
+    poses, skipped = {}, []
+    for (number, line), row in zip(lines[1:], rows[1:], strict=False):
+        try:
+            values = dict(zip(names, row, strict=False))
+            frame, x, y, z, qx, qy, qz, qw = (float(values[name]) for name in COLUMNS)
+            if not 0 <= frame < MAX_FRAME:
+                raise ValueError(f"{values['frame'][:20]!r} is no number of a frame")
+            poses[int(frame)] = pose_of_quaternion((qw, qx, qy, qz), (x, y, z))
+        except (KeyError, ValueError) as error:
+            skipped.append(f"line {number}, {line[:30]!r}: {error}")
+    return poses, skipped
+
+
+def _depth(directory: Path, index: int) -> Pixels | None:
+    confidence = directory / "confidence" / f"{index:06d}.png"
+    files = (directory / "depth" / f"{index:06d}{suffix}" for suffix in (".png", ".npy"))
+    depths = (confident_depth(file, confidence) for file in files)
+    return next((depth for depth in depths if depth is not None), None)
