@@ -19,7 +19,7 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from tf_lab import overrides, text
+from tf_lab import overrides, text_settings
 from tf_lab.errors import TFLabError
 from tf_lab.usage import help_text
 
@@ -61,7 +61,7 @@ def command(
             try:
                 if not in_sweep():  # else each job does
                     overrides.check(cfg, unused)
-                text.settle(cfg)
+                text_settings.settle(cfg)
                 function(cfg)
             except (TFLabError, OmegaConfBaseException, OSError) as error:
                 _tell(_one_line(error, function))
@@ -113,7 +113,7 @@ def _words() -> argparse.Namespace:
 
     parser.error = error  # type: ignore[method-assign]
     words = parser.parse_args()
-    quoted = text.quote_words(words.overrides, overrides.is_sweep(words))
+    quoted = text_settings.quote_words(words.overrides, overrides.is_sweep(words))
     sys.argv = [sys.argv[0], *(quoted.get(word, word) for word in sys.argv[1:])]
     return parser.parse_args()
 

@@ -22,7 +22,7 @@ from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.errors import TFLabError
-from tf_lab.text import value_of
+from tf_lab.text_settings import value_of
 from tf_lab.usage import is_within
 
 JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep

@@ -30,7 +30,7 @@ from tf_lab.study.inventory import (
 )
 from tf_lab.study.reuse import commits_of
 from tf_lab.testing import read_metrics
-from tf_lab.text import expand
+from tf_lab.text_settings import expand
 
 
 def main() -> None:

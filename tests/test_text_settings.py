@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from tf_lab.commands import conf_dir, plain
 from tf_lab.errors import TFLabError
-from tf_lab.text import LISTS, NAMES, PATHS, quote_words, settle
+from tf_lab.text_settings import LISTS, NAMES, PATHS, quote_words, settle
 
 CONF = Path(conf_dir())
 ODD = (
