@@ -22,7 +22,7 @@ from tf_lab.errors import TFLabError
 PATHS = (  # in which ~ is expanded
     *("input", "checkpoint", "output", "predictions", "groundtruth", "runs", "shards"),
     *("data.root", "data.scenes", "data.urls", "data.train", "data.val", "data.test"),
-    "encoder.weights",
+    *("encoder.weights", "init", "real"),
 )
 NAMES = ("format", "data.format", "model.name", "logger.project", "study")
 LISTS = ("runs", "data.urls", "data.train", "data.val", "data.test")  # one text, or [several]
