@@ -17,7 +17,7 @@ from tf_lab.benchmarks.suite import run_all
 from tf_lab.commands import command, device_of, plain
 from tf_lab.configuration import make_network, ready, reconstruction_settings
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_path, write_json
+from tf_lab.files import atomic_path, check_folder, write_json
 from tf_lab.provenance import provenance, without_places
 
 
@@ -25,6 +25,8 @@ from tf_lab.provenance import provenance, without_places
 def main(cfg: DictConfig) -> None:
     """Measure everything, print it, write table, JSON and chart."""
     config = plain(cfg)
+    output = Path(config.pop("output"))
+    check_folder(output)
     device = device_of(config["device"])
     torch.manual_seed(config["seed"])
     networks = {
@@ -38,7 +40,6 @@ def main(cfg: DictConfig) -> None:
     if device.type == "cuda":
         origin["machine"]["gpu"] = torch.cuda.get_device_name(device)
     found = run_all(networks, _settings(config, device), config["views"], config["eager"])
-    output = Path(config.pop("output"))
     results = without_places({"config": config, "provenance": origin, **found})
     text = tables(results)
     print(text)

@@ -19,7 +19,7 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from tf_lab import overrides
+from tf_lab import overrides, text_settings
 from tf_lab.errors import TFLabError
 from tf_lab.usage import help_text
 
@@ -41,6 +41,7 @@ def command(
     config_name: str,
     unused: Sequence[str] = (),
     before: Callable[[argparse.Namespace], None] = lambda words: None,
+    goes_on: bool = False,
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
     """`hydra.main` on the shipped configs, with every error as one line and exit status 2.
 
@@ -50,6 +51,7 @@ def command(
         config_name: of the root config.
         unused: settings (or groups of them) of its groups that the command does not read.
         before: checks on the command line what Hydra would not say in one line.
+        goes_on: an interrupted command, given again, goes on where it was.
     """
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
@@ -59,6 +61,7 @@ def command(
             try:
                 if not in_sweep():  # else each job does
                     overrides.check(cfg, unused)
+                text_settings.settle(cfg)
                 function(cfg)
             except (TFLabError, OmegaConfBaseException, OSError) as error:
                 _tell(_one_line(error, function))
@@ -66,7 +69,8 @@ def command(
                     raise FailedJob("a job of the sweep failed, see above") from None
                 sys.exit(2)
             except KeyboardInterrupt:
-                print("\ninterrupted; the same command goes on from here", file=sys.stderr)
+                more = "; the same command goes on from here" if goes_on else ""
+                print(f"\ninterrupted{more}", file=sys.stderr)
                 sys.exit(130)
 
         wrapped = hydra.main(version_base="1.3", config_path=conf_dir(), config_name=config_name)
@@ -97,13 +101,20 @@ def command(
 
 
 def _words() -> argparse.Namespace:
-    """The command line. Raises TFLabError: it has an option that there is not."""
+    """The command line, from here on with its texts quoted for Hydra.
+
+    Raises:
+        TFLabError: it has an option that there is not, or an empty text.
+    """
     parser = get_args_parser()
 
     def error(message: str) -> NoReturn:
         raise TFLabError(f"{message}; settings are NAME=VALUE, --help lists them")
 
     parser.error = error  # type: ignore[method-assign]
+    words = parser.parse_args()
+    quoted = text_settings.quote_words(words.overrides, overrides.is_sweep(words))
+    sys.argv = [sys.argv[0], *(quoted.get(word, word) for word in sys.argv[1:])]
     return parser.parse_args()
 
 
@@ -116,16 +127,16 @@ def _tell(line: str) -> None:
 
 def _one_line(error: Exception, function: Callable[[DictConfig], None]) -> str:
     """What the user of a command needs to know of an error."""
-    text = str(error)
+    line = str(error)
     if isinstance(error, MissingMandatoryValue):
         lines = (sys.modules[function.__module__].__doc__ or "").splitlines()
         usage = next((line for line in lines if line.startswith("python -m")), "")
         given = f"{error.full_key}="
         cure = f"usage: {usage}" if given in usage else f"give {given}VALUE"
-        text = f"{error.full_key} is missing; {cure}"
-    if "Original Traceback" in text:  # raised in a loader process
-        text = text.rpartition(f"{type(error).__name__}: ")[2]
-    return " ".join(text.split())
+        line = f"{error.full_key} is missing; {cure}"
+    if "Original Traceback" in line:  # raised in a loader process
+        line = line.rpartition(f"{type(error).__name__}: ")[2]
+    return " ".join(line.split())
 
 
 def _quieten() -> None:

@@ -15,6 +15,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from tf_lab.errors import TFLabError
+
 
 def _prefix() -> str:
     """Of temporary names: says who writes (of a pool, its parent), to be known when that died."""
@@ -43,6 +45,39 @@ def _is_alive(process: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+def check_file(path: Path) -> None:
+    """That a file can be written, before the work whose result it is; nothing is left behind.
+
+    Raises:
+        TFLabError: it can't.
+    """
+    if path.is_dir():
+        raise TFLabError(f"{path}: is a folder; give the name of a file in it")
+    check_folder(path.parent, path)
+
+
+def check_folder(folder: Path, path: Path | None = None) -> None:
+    """That files can be written into a folder, which may not be there yet; nothing is left behind.
+
+    Args:
+        folder: the folder.
+        path: the file, if only one is meant.
+
+    Raises:
+        TFLabError: they can't.
+    """
+    folder = folder.absolute()
+    nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
+    try:
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        reason = f"{error.strerror}: {nearest}"
+        raise TFLabError(
+            f"{path or folder}: cannot be written ({reason}); give another place by output="
+        ) from error
 
 
 @contextlib.contextmanager

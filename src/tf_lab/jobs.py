@@ -28,7 +28,7 @@ from omegaconf import DictConfig, OmegaConf
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
 from tf_lab.gpus import one_gpu
-from tf_lab.overrides import JOB
+from tf_lab.overrides import JOB, task_words
 from tf_lab.processes import end_with
 from tf_lab.study.reuse import say_reused
 from tf_lab.testing import read_metrics
@@ -111,7 +111,7 @@ def single_run(hydra: HydraConf) -> list[str]:
     return [
         *(f"--config-dir={source.path}" for source in sources),
         *overrides,
-        *hydra.overrides.task,
+        *task_words(hydra),
         JOB,
     ]
 

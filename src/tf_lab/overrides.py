@@ -5,8 +5,10 @@ Hydra needs several for that, and takes a value of any type for any setting.
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,15 +17,25 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.errors import TFLabError
+from tf_lab.text_settings import value_of
 from tf_lab.usage import is_within
 
 JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
 OF_ANY_TYPE = ("trainer.devices",)  # a number, a list or "auto"
+
+
+def is_sweep(words: argparse.Namespace) -> bool:
+    """Whether a command line asks for several jobs."""
+    asked = words.multirun or any(
+        word == "hydra.mode=MULTIRUN" or (word.startswith("sweep=") and word != "sweep=null")
+        for word in words.overrides
+    )
+    return asked and JOB not in words.overrides
 
 
 def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
@@ -38,7 +50,7 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
         TFLabError: one is not.
     """
     job = HydraConfig.get()
-    given = OverridesParser.create().parse_overrides(list(job.overrides.task))
+    given = OverridesParser.create().parse_overrides(task_words(job))
     choices = [str(o.input_line) for o in given if o.key_or_group in job.runtime.choices]
     defaults = compose(job.job.config_name, choices)
     for override in given:
@@ -49,9 +61,16 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
             continue
         if name == "launcher" and JOB not in sys.argv:
             raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
-        wanted = _wanted(_value(cfg, name), _value(defaults, name))
+        wanted = _wanted(value_of(cfg, name), value_of(defaults, name))
         if wanted is not None:
             raise TFLabError(f"{override.input_line}: must be {wanted}")
+
+
+def task_words(hydra: Any) -> list[str]:
+    """The settings in Hydra's command line, of which nothing is replaced by another's value."""
+    words = OmegaConf.to_container(hydra.overrides.task, resolve=False)
+    assert isinstance(words, list)
+    return [str(word) for word in words]
 
 
 def check_groups(words: Sequence[str], conf: Path) -> None:
@@ -65,14 +84,6 @@ def check_groups(words: Sequence[str], conf: Path) -> None:
         if choice == "null" and (conf / group).is_dir():
             there = ", ".join(sorted(path.stem for path in (conf / group).glob("*.yaml")))
             raise TFLabError(f"{word}: choose one of {there}, or leave it out")
-
-
-def _value(cfg: DictConfig, name: str) -> Any:
-    """Of a setting; None: it is made of another one that is missing."""
-    try:
-        return OmegaConf.select(cfg, name)
-    except OmegaConfBaseException:
-        return None
 
 
 def _wanted(value: Any, default: Any) -> str | None:
@@ -102,7 +113,9 @@ def explain(error: Exception, conf: Path, name: str) -> str:
         if "=" not in error.override:
             return f"{error.override}: not of the form NAME=VALUE; {more}"
         reason = text.splitlines()[0]
-        return f"{error.override}: cannot be read ({reason}); quote what is no plain word or number"
+        key, _, value = error.override.partition("=")
+        quoted = shlex.quote(f"{key}={QuotedString(value, Quote.double).with_quotes()}")
+        return f"{error.override}: cannot be read ({reason}); if it is text, write {quoted}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown.group(1)
         return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name)}; {more}"

@@ -26,16 +26,19 @@ from tf_lab.datasets import (
     training_sampler,
 )
 from tf_lab.errors import TFLabError
+from tf_lab.files import check_folder
 from tf_lab.meshes import read_mesh
 from tf_lab.pictures import compare
 from tf_lab.progress import progress_bar
 from tf_lab.provenance import provenance
 
 
-@command("prepare", unused=("encoder", "optimizer"))
+@command("prepare", unused=("encoder", "optimizer"), goes_on=True)
 def main(cfg: DictConfig) -> None:
     """Prepare the splits, say what was skipped and why."""
     config = plain(cfg)
+    if config["shards"]:
+        check_folder(Path(config["shards"]))
     failed = _prepare_embedded(config) if embedded_set(config) else _prepare(config)
     if config["shards"]:
         _write_shards(config)
@@ -90,7 +93,7 @@ def _prepare(config: dict[str, Any]) -> int:
 
 def _write_shards(config: dict[str, Any]) -> None:
     index = write_shards(
-        Path(config["shards"]).expanduser(),
+        Path(config["shards"]),
         training_sampler(config),
         config["shard_chunks"],
         config["seed"],

@@ -31,7 +31,7 @@ from tf_lab.data.readers import open_capture
 from tf_lab.data.resize import Resized
 from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_path
+from tf_lab.files import atomic_path, check_file
 from tf_lab.network.encoders import Encoder, make_encoder
 from tf_lab.network.matching import matching_loss
 from tf_lab.provenance import provenance, without_places
@@ -122,11 +122,13 @@ def validation_pairs(
         *("model", "training", "optimizer"),
         *("trainer.devices", "trainer.strategy", "trainer.compile"),
     ),
+    goes_on=True,
 )
 def main(cfg: DictConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
     config = plain(cfg)
     output, origin = Path(config["output"]), provenance()
+    check_file(output)
     L.seed_everything(config["seed"], verbose=False)
     splits = prepare_data(config, ("train", "val"))
     encoder, trunk_factor = _encoder(config)

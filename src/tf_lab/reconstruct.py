@@ -7,6 +7,7 @@ Without an input it reconstructs a test room and prints its score.
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from pathlib import Path
@@ -28,7 +29,7 @@ from tf_lab.data.scene import Scene
 from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate_scene, format_table
-from tf_lab.files import atomic_path
+from tf_lab.files import atomic_path, check_file
 from tf_lab.meshes import read_mesh, write_mesh
 from tf_lab.network.network import Network
 from tf_lab.pictures import compare
@@ -43,10 +44,13 @@ def main(cfg: DictConfig) -> None:
     checkpoint = Path(config["checkpoint"]) if config["checkpoint"] else shipped_checkpoint()
     network, info = load_network(checkpoint)
     network = ready(network, config, device_of(config["device"]))
-    capture = _open(config, info)
-    output = Path(config["output"] or f"outputs/reconstructions/{capture.name}.ply")
+    output = _place(config)
     if output.suffix != ".ply":
         raise TFLabError(f"output={output}: the mesh is written as .ply")
+    check_file(output)
+    capture = _open(config, info)
+    if config["input"] is None and config["output"] is None:
+        output = output.with_stem(capture.name)
     start = time.time()
     result = _reconstruct(network, capture, test_settings(config))
     seconds = time.time() - start
@@ -67,6 +71,15 @@ def main(cfg: DictConfig) -> None:
         return
     print(f"{output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
     _score_and_draw(capture, result, output.with_suffix(".png"))
+
+
+def _place(config: dict[str, Any]) -> Path:
+    """Where the mesh goes: by default a place of this input's own, because it holds its path."""
+    if config["output"] is not None:
+        return Path(config["output"])
+    source, here = Path(os.path.abspath(config["input"] or "room")), Path.cwd()  # noqa: PTH100
+    path = source.relative_to(here if here in source.parents else source.anchor)
+    return Path("outputs/reconstructions", path.parent, f"{path.name}.ply")
 
 
 def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:

@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from tf_lab.commands import command, plain
 from tf_lab.datasets import scene_directory
+from tf_lab.files import check_folder
 from tf_lab.meshes import read_mesh
 from tf_lab.progress import progress_bar
 from tf_lab.study.formats import markdown
@@ -28,9 +29,9 @@ def main(cfg: DictConfig) -> None:
     """Read the runs; print the main table; write tables, orderings, charts and pictures."""
     config = plain(cfg)
     folders = [config["runs"]] if isinstance(config["runs"], str) else config["runs"]
-    key = None if config["study"] is None else str(config["study"])
-    study, remarks = open_study(folders, key)
     output = Path(config["output"])
+    check_folder(output)
+    study, remarks = open_study(folders, config["study"])
     if config["keep"]:
         for run in study.runs.values():
             keep_run(run, output / "runs")

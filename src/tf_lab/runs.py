@@ -30,6 +30,7 @@ from tf_lab.study.inventory import (
 )
 from tf_lab.study.reuse import commits_of
 from tf_lab.testing import read_metrics
+from tf_lab.text_settings import expand
 
 
 def main() -> None:
@@ -42,7 +43,7 @@ def main() -> None:
     )
     parser.add_argument("action", nargs="?", choices=("list", "show", "rm"), default="list")
     parser.add_argument("names", nargs="*", metavar="NAME")
-    parser.add_argument("--output", type=Path, default=Path("outputs"), metavar="DIR")
+    parser.add_argument("--output", type=_folder, default=Path("outputs"), metavar="DIR")
     parser.add_argument("--dry-run", action="store_true")
     words = [f"--{word}" if word.startswith("output=") else word for word in sys.argv[1:]]
     given = parser.parse_intermixed_args(words)
@@ -61,6 +62,10 @@ def main() -> None:
     except (TFLabError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def _folder(path: str) -> Path:
+    return Path(expand(path))
 
 
 def remove(entries: Sequence[Entry], dry_run: bool) -> None:

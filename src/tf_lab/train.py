@@ -51,7 +51,7 @@ log = logging.getLogger(__name__)
 Config = Mapping[str, Any]
 
 
-@command("train", before=check_launcher)
+@command("train", before=check_launcher, goes_on=True)
 def main(cfg: DictConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     end_with_parent()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import trimesh
 from tiny_jobs import Result, call, start
 
 from tf_lab.meshes import read_mesh
@@ -64,6 +65,22 @@ def test_a_moved_prediction_scores_as_it_should(published: Path) -> None:
     assert result.status == 0
     assert scores["compl"] == 100
     assert (scores["recall"], scores["fscore"]) == (0, 0)
+
+
+def test_points_and_millimetres_are_told(published: Path) -> None:
+    for scene, factor in (("scene0000_00", 1), ("scene0001_00", 1000)):
+        mesh = read_mesh(published / "groundtruth" / scene / "mesh_gt.ply")
+        points = trimesh.PointCloud(factor * mesh.vertices)
+        points.export(published / "predictions" / f"{scene}.ply")
+    result = call("evaluate", "predictions=predictions", "groundtruth=groundtruth", "output=m.json")
+    assert result.status == 0
+    *_, clouds, warning = result.out.splitlines()
+    assert clouds == "no surface, scored by the points as they are: scene0000_00, scene0001_00"
+    assert warning.startswith("warning: scene0001_00 is about 1000 times as large as the ground")
+    metrics = json.loads(Path("m.json").read_text())
+    assert metrics["scenes"]["scene0000_00"]["fscore"] > 0.99
+    assert metrics["point_clouds"] == ["scene0000_00", "scene0001_00"]
+    assert list(metrics["wrong_scale"]) == ["scene0001_00"]
 
 
 @pytest.mark.parametrize(

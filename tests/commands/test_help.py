@@ -65,6 +65,8 @@ def test_what_a_command_does_not_read_is_neither_shown_nor_taken() -> None:
     result = call("pretrain", "optimizer.steps=3")
     assert result.status == 2
     assert result.err == "error: optimizer.steps=3: tf_lab.pretrain does not use it\n"
+    result = call("pretrain", "model=small", "model.width=3")  # of the model's only the encoder
+    assert result.err == "error: model.width=3: tf_lab.pretrain does not use it\n"
 
 
 def test_help_of_a_process(tmp_path: Path) -> None:

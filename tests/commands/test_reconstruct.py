@@ -40,8 +40,9 @@ def load(path: Path) -> trimesh.Trimesh:
 
 def test_by_a_process(posed_images: Path, checkpoint: Path, tmp_path: Path) -> None:
     """Mesh and picture are written to the default place under the directory it is started in."""
+    (tmp_path / "capture").symlink_to(posed_images)
     result = start(
-        "reconstruct", f"input={posed_images}", f"checkpoint={checkpoint}", *SETTINGS, cwd=tmp_path
+        "reconstruct", "input=capture", f"checkpoint={checkpoint}", *SETTINGS, cwd=tmp_path
     )
     assert (result.status, result.err) == (0, "")
     mesh = load(tmp_path / "outputs" / "reconstructions" / "capture.ply")

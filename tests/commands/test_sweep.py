@@ -113,7 +113,8 @@ def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.Mo
     configs, commands = [], []
     monkeypatch.setattr("tf_lab.train._finished", lambda cfg: configs.append(plain(cfg)))
     monkeypatch.setattr("tf_lab.jobs._run", lambda command, *_: commands.append(command) or 0)
-    given = ("training.views=[1,2]", "output='a b=c'", "+trainer.max_time='1:2'")
+    given = ("training.views=[1,2]", "+trainer.max_time='1:2'", "output=a, b=c")
+    given += ("data.root=Küche ${x} (1)", "model.name=2024_01_01")
     result = train("sweep=inputs", "seed=3,4", "row=avg,views8_rnd", *given, "hydra.verbose=false")
     assert result.status == 1
     assert set(table(result).values())

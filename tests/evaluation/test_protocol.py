@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from tf_lab.evaluation.protocol import (
     evaluate_scene,
     format_row,
     format_table,
+    samples,
     scene_names,
 )
 from tf_lab.meshes import read_mesh
@@ -156,6 +158,62 @@ def test_known_planes(folders: tuple[Path, Path]) -> None:
     assert result["missing"] == [] and result["failed"] == {}
 
 
+def test_a_point_cloud_is_scored_by_its_points(tmp_path: Path) -> None:
+    """Half of the truth's vertices, 3 cm above them: distances by hand."""
+    truth = write_truth(tmp_path / "scene", grid_plane(n=3))  # 50 cm apart
+    vertices = grid_plane(0.03, n=3).vertices[:6]  # x = 0 and x = 0.5, not x = 1
+    cloud = trimesh.PointCloud(vertices)
+    cloud.export(tmp_path / "p.ply")
+    scores = evaluate_scene(tmp_path / "p.ply", truth)
+    same = evaluate_scene(trimesh.Trimesh(vertices, process=False), truth)
+    assert scores == pytest.approx(same, abs=1e-5)  # the file holds float32
+    compl = 100 * (6 * 0.03 + 3 * np.hypot(0.5, 0.03)) / 9
+    expected = {"acc": 3, "compl": compl, "chamfer": (3 + compl) / 2, "prec": 1, "recall": 2 / 3}
+    assert scores == pytest.approx({**expected, "fscore": 0.8}, abs=1e-5)
+
+
+def test_of_a_large_point_cloud_some_points_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tf_lab.evaluation.protocol.SAMPLES", 100)
+    cloud = trimesh.Trimesh(np.random.default_rng(0).random((1000, 3)), process=False)
+    first, again = samples(cloud), samples(cloud)
+    assert len(np.unique(first, axis=0)) == 100
+    np.testing.assert_array_equal(first, again)
+    assert {*map(tuple, first)} <= {*map(tuple, np.asarray(cloud.vertices))}
+
+
+@pytest.mark.parametrize(
+    ("factor", "expected"),
+    [
+        (1000, "about 1000 times as large as the ground truth, as if in millimetres"),
+        (100, "about 100 times as large as the ground truth, as if in centimetres"),
+        (39.37, "about 39.37 times as large as the ground truth, as if in inches"),
+        (3.28, "about 3.28 times as large as the ground truth, as if in feet"),
+        (7, r"about (6\.[5-9]|7) times as large as the ground truth; both must be in metres"),
+        (0.01, r"about 0\.(009[5-9]|01) times as large as the ground truth; both must"),
+        (1.0, None),
+        (1.9, None),
+        (0.6, None),
+    ],
+)
+def test_a_wrong_scale_is_told(
+    folders: tuple[Path, Path], factor: float, expected: str | None
+) -> None:
+    """Of a mesh and of a point cloud, outliers or not."""
+    predictions, truth = folders
+    for path in predictions.iterdir():
+        mesh = trimesh.load(path, process=False)
+        mesh.apply_scale(factor)
+        if path.stem == "far":
+            points = np.concatenate([mesh.vertices, factor * np.array([[90, 90, 90.0]])])
+            mesh = trimesh.PointCloud(points)
+        mesh.export(path)
+    result = evaluate(predictions, truth)
+    assert result["point_clouds"] == ["far"]
+    told = result["wrong_scale"]
+    assert set(told) == (set() if expected is None else {"far", "near"})
+    assert all(re.match(str(expected), text) for text in told.values()), told
+
+
 def test_samples_follow_area_not_faces(tmp_path: Path) -> None:
     """A fine patch at the right height and one coarse square of the same area 20 cm off."""
     coarse = trimesh.Trimesh(
@@ -181,7 +239,6 @@ def test_the_seed_alone_decides(folders: tuple[Path, Path]) -> None:
     "content",
     [
         PLY.format(vertices=0, faces=0),
-        PLY.format(vertices=4, faces=0) + SQUARE,
         PLY.format(vertices=4, faces=1) + SQUARE + "3 0 0 1\n",  # no area
     ],
 )

@@ -31,6 +31,8 @@ from tf_lab.meshes import read_mesh
 
 PROTOCOL = "transformerfusion"
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
+CLEAR = 2.5  # a factor between the sizes of prediction and ground truth that nobody means
+UNITS = {1000: "millimetres", 100: "centimetres", 39.37: "inches", 3.28: "feet"}  # in a metre
 
 # key, heading of the paper's table, format
 COLUMNS = (
@@ -105,13 +107,56 @@ def evaluate_scene(
     """
     truth = read_groundtruth(groundtruth_dir)
     if isinstance(prediction, Path):
-        prediction = read_mesh(prediction) if prediction.exists() else None
-    if prediction is None or not prediction.area > 0:
+        prediction = _read_prediction(prediction)
+    return _score(samples(prediction, seed), truth)
+
+
+def samples(mesh: trimesh.Trimesh | None, seed: int = 0) -> np.ndarray:
+    """The points [P, 3] that stand for a prediction; none of an empty mesh or one without area.
+
+    Of a surface `SAMPLES`, uniform over its area; of a point cloud (no faces) its own points, at
+    most as many.
+    """
+    if mesh is None:
+        return np.zeros((0, 3))
+    if is_point_cloud(mesh):
+        chosen = np.random.default_rng(seed).permutation(len(mesh.vertices))[:SAMPLES]
+        return np.asarray(mesh.vertices)[chosen]
+    if not mesh.area > 0:
+        return np.zeros((0, 3))
+    return np.asarray(trimesh.sample.sample_surface(mesh, SAMPLES, seed=seed)[0])
+
+
+def is_point_cloud(mesh: trimesh.Trimesh) -> bool:
+    """Whether there are points, but no surface."""
+    return len(mesh.vertices) > 0 and len(mesh.faces) == 0
+
+
+def _read_prediction(path: Path) -> trimesh.Trimesh | None:
+    return read_mesh(path) if path.exists() else None
+
+
+def _score(points: np.ndarray, truth: GroundTruth) -> Metrics:
+    if len(points) == 0:
         return empty_metrics()
-    points, _ = trimesh.sample.sample_surface(prediction, SAMPLES, seed=seed)
-    points = np.asarray(points)
     visible = visibility(points, truth.occlusion_mask, truth.world2grid)
     return reconstruction_metrics(points, visible, truth.points)
+
+
+def wrong_scale(points: np.ndarray, truth: GroundTruth) -> str | None:
+    """By what factor a prediction [P, 3] is too large or too small, if by a clear one."""
+    if len(points) == 0:
+        return None
+    # a few far points say nothing about the size of the rest
+    sizes = [np.ptp(np.quantile(p, (0.02, 0.98), axis=0), axis=0) for p in (points, truth.points)]
+    predicted, true = (float(np.linalg.norm(size)) for size in sizes)
+    if predicted == 0 or true == 0 or 1 / CLEAR < predicted / true < CLEAR:
+        return None
+    ratio = predicted / true
+    unit = min(UNITS, key=lambda factor: abs(np.log(ratio / factor)))
+    known = abs(np.log(ratio / unit)) < np.log(1.25)  # no reconstruction is quite whole
+    times, guess = (unit, f", as if in {UNITS[unit]}") if known else (float(f"{ratio:.2g}"), "")
+    return f"about {times:g} times as large as the ground truth{guess}; both must be in metres"
 
 
 def scene_names(groundtruth: Path) -> list[str]:
@@ -144,8 +189,9 @@ def evaluate(
 
     Returns:
         ``protocol``, ``mean`` and ``scenes`` (metrics.json), ``settings``, ``missing`` (the scenes
-        without a prediction) and ``failed`` (scene -> message of those that could not be
-        evaluated; the mean leaves them out, so a caller must not pass over them).
+        without a prediction), ``point_clouds`` (those predicted as points, without a surface),
+        ``wrong_scale`` (scene -> by what factor) and ``failed`` (scene -> message of those that
+        could not be evaluated; the mean leaves them out, so a caller must not pass over them).
 
     Raises:
         TFLabError: a folder is missing, or no scene at all could be evaluated.
@@ -155,9 +201,17 @@ def evaluate(
     names = scene_names(groundtruth)
     scenes: dict[str, Metrics] = {}
     failed: dict[str, str] = {}
+    point_clouds, scales = [], {}
     for name in track(names):
         try:
-            scenes[name] = evaluate_scene(predictions / f"{name}.ply", groundtruth / name, seed)
+            truth = read_groundtruth(groundtruth / name)
+            mesh = _read_prediction(predictions / f"{name}.ply")
+            points = samples(mesh, seed)
+            scenes[name] = _score(points, truth)
+            if mesh is not None and is_point_cloud(mesh):
+                point_clouds.append(name)
+            if remark := wrong_scale(points, truth):
+                scales[name] = remark
         except TFLabError as error:
             failed[name] = str(error)
     if not scenes:
@@ -168,6 +222,8 @@ def evaluate(
         "scenes": scenes,
         "settings": {"seed": seed, "threshold_cm": 100 * THRESHOLD, "n_points": SAMPLES},
         "missing": [name for name in names if not (predictions / f"{name}.ply").exists()],
+        "point_clouds": point_clouds,
+        "wrong_scale": scales,
         "failed": failed,
     }
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from matplotlib.figure import Figure
+from PIL import Image
 
 from tf_lab.errors import TFLabError
 from tf_lab.meshes import read_mesh
@@ -75,6 +77,16 @@ def draw_scene(
     }
     seed = next(iter(runs.values())).seed
     write_figure(_grid(panels, f"{scene}, seed {seed}", size), path, COLORS)
+
+
+def preview(path: Path, width: int = 1000) -> bytes:
+    """A picture as a JPEG of at most so many pixels across, small enough to keep in a notebook."""
+    with Image.open(path) as picture:
+        small = picture.convert("RGB")
+    small.thumbnail((width, width))
+    content = io.BytesIO()
+    small.save(content, "JPEG", quality=80)
+    return content.getvalue()
 
 
 def _grid(panels: dict[str, np.ndarray], heading: str, size: tuple[int, int]) -> Figure:
