@@ -154,6 +154,9 @@ def test_batch_statistics_stay_in_training(whole: EfficientNetLite0) -> None:
     images = torch.rand(2, 3, 64, 64) * 255
     in_test = whole.eval()(images)
     in_training = whole.train()(images)
+    fresh = EfficientNetLite0(**SIZES)  # as a trainer finds it
+    assert not any(m.training for m in fresh.modules() if isinstance(m, torch.nn.BatchNorm2d))
+    assert fresh.lateral[0].training
     assert all(torch.equal(v, before[k]) for k, v in whole.state_dict().items())
     for a, b in zip(in_test, in_training, strict=True):
         assert torch.equal(a, b)

@@ -116,6 +116,7 @@ class EfficientNetLite0(Encoder):
             strides.append(stride)
         channels = [stage[-1] for stage in STAGES[: len(strides)]]
         self.build_pyramid(strides, channels, mixed=True, **maps)
+        self.train()  # Lightning keeps the modes that it finds
 
     def train(self, mode: bool = True) -> Self:
         """Trunk and pyramid, but for the batch normalisation, which has ImageNet's statistics."""
