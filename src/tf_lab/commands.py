@@ -147,6 +147,7 @@ def _quieten() -> None:
         ".*isinstance.treespec, LeafSpec.*",
         ".*Checkpoint directory .* exists and is not empty.*",
         ".*does not have many workers.*",
+        ".*in eval mode at the start of training.*",
         ".*Experiment logs directory .* exists and is not empty.*",
         ".*The dirpath has changed from .*",  # a training goes on from another's state
     ):
