@@ -6,7 +6,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from tf_lab.online.batch_selection import BatchSelection
-from tf_lab.online.selection import POLICIES, SelectionPolicy, make_policy
+from tf_lab.online.selection import POLICIES, DiverseSelection, SelectionPolicy, make_policy
 from tf_lab.online.view_store import ViewStore
 
 P, V, H = 300, 14, 2
@@ -42,10 +42,11 @@ def online(
     return store.frames
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize(
+    "policy", [*(make_policy(name, 5) for name in POLICIES), DiverseSelection(6, spread=0.5)]
+)
 @pytest.mark.parametrize("views", [1, 4, V, V + 3])
-def test_training_keeps_what_the_store_keeps(name: str, views: int) -> None:
-    policy = make_policy(name, 5)
+def test_training_keeps_what_the_store_keeps(policy: SelectionPolicy, views: int) -> None:
     logits, valid, centers = voxels()
     given = logits if policy.needs_logits else None
     kept, filled = BatchSelection(policy, views)(given, valid, centers)

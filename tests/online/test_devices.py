@@ -4,12 +4,22 @@ import numpy as np
 import pytest
 import torch
 
-from online.pretended_gpu import PretendedGpu, on_gpu
+from online.pretended_gpu import CUDA, PretendedGpu, on_gpu
 from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
 from tf_lab.data.scene import Scene
+from tf_lab.network.agreement import Agreement
+from tf_lab.network.tokens import Measurements
+from tf_lab.online.batch_selection import BatchSelection
 from tf_lab.online.eager import EagerReconstructor
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.selection import (
+    POLICIES,
+    AttentionSelection,
+    DiverseSelection,
+    RandomSelection,
+    SelectionPolicy,
+    make_policy,
+)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +49,7 @@ def test_all_work_is_done_on_the_networks_device(
     assert weights.shape == (2, 3)
 
 
-@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(1)])
+@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(1), DiverseSelection()])
 def test_adding_a_frame_waits_for_list_lengths_only(
     tiny_network: Factory, scene: Scene, policy: SelectionPolicy
 ) -> None:
@@ -51,6 +61,21 @@ def test_adding_a_frame_waits_for_list_lengths_only(
         gpu.waits.clear()
         add(r, scene, FRAMES[:1])
         assert gpu.waits == {"__getitem__": 4}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_choosing_and_comparing_views_in_training_waits_for_nothing(name: str) -> None:
+    torch.manual_seed(0)
+    valid, rays = torch.rand(30, 9) < 0.7, torch.randn(30, 9, 3)
+    views = [torch.randn(30, 9, 8), torch.rand(30, 9), valid, rays]
+    with PretendedGpu() as gpu:
+        logits, *parts = (x.to(CUDA) for x in (torch.randn(30, 9, 2), *views))
+        agreement = on_gpu(Agreement(8, 12))
+        gpu.waits.clear()  # what follows is on the GPU
+        kept, _ = BatchSelection(make_policy(name, 0), 4)(logits, parts[2], parts[3])
+        told = agreement(Measurements(*parts))
+        assert kept.device.type == told.device.type == "cuda"
+        assert not gpu.waits
 
 
 def test_the_pretended_gpu_is_strict() -> None:

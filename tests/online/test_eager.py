@@ -31,7 +31,7 @@ from tf_lab.online.selection import (
         (AttentionSelection(), 16, "float32", True),
         (AttentionSelection(), 3, "float32", True),
         (RandomSelection(4), 3, "float32", False),
-        (DiverseSelection(1), 3, "float16", True),
+        (DiverseSelection(1, spread=0.5), 3, "float16", True),
     ],
 )
 def test_lazy_equals_eager(

@@ -181,7 +181,7 @@ def test_test_time_computes_what_training_computes(
         (AttentionSelection(), {}),
         (RandomSelection(3), {"refine": False}),
         (RandomSelection(1), {"filter": False}),
-        (DiverseSelection(2), {"matching": True}),
+        (DiverseSelection(2, spread=0.5), {"matching": True}),
     ],
 )
 def test_sparse_equals_dense(

@@ -132,6 +132,14 @@ def test_whatever_changes_the_batch_makes_a_new_training() -> None:
         assert keys(composed(option))[0] != keys(DEFAULT)[0], option
 
 
+def test_a_run_of_before_rules_can_still_be_read() -> None:
+    old = copy.deepcopy(DEFAULT)
+    del old["training"]["rules"], old["training"]["seen_by"]
+    old["training"]["ranked"] = 0.5
+    assert keys(old)[0] != keys(DEFAULT)[0]  # it kept other views
+    assert row_label(old) == "Ours"
+
+
 def test_a_training_of_before_matching_is_found_again() -> None:
     old = copy.deepcopy(DEFAULT)
     del old["inputs"]["matching"]
@@ -187,6 +195,8 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
     assert run.parent == Path("results/runs")
     assert training.name == f"tiny-avg-seed3-{key_of(training_identity(config))}"
     assert run.name.startswith("tiny-avg-views8-rnd-seed3-")
+    ours = composed("inputs=matching", "select=diverse")
+    assert run_directory(ours).name.startswith("tiny-matching-views16-diverse-seed0-")
 
 
 @pytest.mark.parametrize(
@@ -208,6 +218,8 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         # ours, not the paper's
         ("inputs=matching", "Ours: + matching"),
         ("encoder=efficientnet_lite0", "Ours: efficientnet_lite0 encoder"),
+        ("select=diverse views=4", "Ours: 4 images, diverse"),
+        ("select=diverse", "Ours: 16 images, diverse"),
         # a combination that the paper does not have names both
         ("refine=false views=4", "Ours: w/o spatial ref., 4 images"),
     ],
