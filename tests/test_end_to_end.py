@@ -10,7 +10,7 @@ from torch import Tensor
 from online.scenes import surface_of
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
-from tf_lab.data.embedded import ROOMS, EmbeddedSplit
+from tf_lab.data.embedded import FLATS, ROOMS, EmbeddedSplit
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.rooms import RoomSettings
@@ -29,11 +29,9 @@ def test_room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return Scene(ROOMS.prepare(tmp_path_factory.mktemp("rooms"), split, workers=1)["test"][0])
 
 
-def test_true_occupancy_gives_the_true_mesh(
-    test_room: Scene, tiny_network: Callable[..., Network]
-) -> None:
-    """With the truth in the network's place, what follows the network reaches F > 0.97."""
-    truth = GroundTruth(test_room.groundtruth)
+def score_of_truth(scene: Scene, network: Network) -> dict[str, float]:
+    """What follows the network gives with the truth in the network's place."""
+    truth = GroundTruth(scene.groundtruth)
     upper = [
         o + n * truth.grid.voxel for o, n in zip(truth.grid.origin, truth.grid.shape, strict=True)
     ]
@@ -43,11 +41,25 @@ def test_true_occupancy_gives_the_true_mesh(
     def decode(points: Tensor) -> Tensor:
         return torch.nan_to_num(-truth.signed_distance(points), nan=0.1)  # unknown: solid
 
-    online = surface_of(decode, distance < FINE, grid, tiny_network(), 5)
-    mesh = online.surface.assemble(None)
-    scores = evaluate_scene(mesh, test_room.groundtruth)
+    online = surface_of(decode, distance < FINE, grid, network, 5)
+    return evaluate_scene(online.surface.assemble(None), scene.groundtruth)
+
+
+def test_true_occupancy_gives_the_true_mesh(
+    test_room: Scene, tiny_network: Callable[..., Network]
+) -> None:
+    scores = score_of_truth(test_room, tiny_network())
     assert scores["fscore"] > 0.97
     assert scores["chamfer"] < 2.0  # cm
+
+
+@pytest.mark.slow
+def test_true_occupancy_gives_the_true_mesh_of_a_flat(
+    tmp_path: Path, tiny_network: Callable[..., Network]
+) -> None:
+    split = {"test": EmbeddedSplit(1, RoomSettings(frames=60))}
+    (flat,) = FLATS.prepare(tmp_path, split, workers=1)["test"]
+    assert score_of_truth(Scene(flat), tiny_network())["fscore"] > 0.95
 
 
 def test_the_median_point_is_seen_by_many_keyframes(test_room: Scene) -> None:

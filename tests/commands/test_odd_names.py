@@ -92,7 +92,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for name in (
         *("reconstruct._open", "evaluate.evaluate", "report.open_study", "pretrain.prepare_data"),
-        *("benchmark.run_all", "prepare._prepare_rooms"),
+        *("benchmark.run_all", "prepare._prepare_embedded"),
     ):
         monkeypatch.setattr(f"tf_lab.{name}", fail)
 
