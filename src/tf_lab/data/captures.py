@@ -34,6 +34,7 @@ from tf_lab.data.resize import Resized
 from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.data.sources import Sources, find_sources, read_sources
+from tf_lab.data.text import read_lines
 from tf_lab.errors import TFLabError
 from tf_lab.files import atomic_directory, held, remove_abandoned, write_json
 from tf_lab.meshes import read_mesh
@@ -324,11 +325,8 @@ def names_of(given: Sequence[str] | str, known: Sequence[str], what: str) -> lis
         TFLabError: the file is missing, or a name is not known.
     """
     if isinstance(given, str):
-        try:
-            given = Path(given).expanduser().read_text().splitlines()
-            given = [line.strip() for line in given if line.strip()]
-        except (OSError, UnicodeDecodeError) as error:
-            raise TFLabError(f"{what}={given}: cannot be read ({error})") from error
+        cure = f"{what} is a list of names, or a text file with one a line"
+        given = [line for _, line in read_lines(Path(given).expanduser(), cure)]
     missing = [name for name in given if name not in known]
     if missing:
         raise TFLabError(

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tf_lab.data.lens import Camera, camera_of
 from tf_lab.data.readers.images import image_size
-from tf_lab.data.text import parse_numbers, read_lines, read_numbers
-from tf_lab.data.text import read_text as read_text
+from tf_lab.data.text import parse_numbers, read_lines, read_numbers, read_text
 from tf_lab.errors import TFLabError
 
 MAX_GAP = 0.02  # seconds between an image and its pose: under a frame at 30 Hz
