@@ -69,7 +69,7 @@ def test_prepare(odd: str, box_scene: Path) -> None:
         *("splits=[test]", "data.workers=1", "data.width=64", "data.height=48"),
     )
     assert (result.status, result.err) == (0, ""), result.out
-    assert {p.parent.name for p in root.glob("tf_lab/*/*/scene.json")} == {"2024_05_01", "kitchen"}
+    assert {p.parts[-3] for p in root.glob("tf_lab/*/*/*/scene.json")} == {"2024_05_01", "kitchen"}
 
 
 def test_report(odd: str) -> None:
