@@ -274,9 +274,13 @@ def make_scene(place: Path, source: Path, settings: ImportSettings, memory: int)
 
 
 def _files_of(source: Path, capture: Capture) -> Iterator[str]:
-    """The image files that a capture refers to, wherever they lie, from the capture's folder."""
+    """The files that a capture refers to, wherever they lie, by their paths from its folder."""
     folder = source.parent if source.is_file() else source
-    for frame in capture.source if isinstance(capture, SourceCapture) else ():
+    if not isinstance(capture, SourceCapture):
+        return
+    for file in capture.given.beside:
+        yield os.path.relpath(file.resolve(), folder.resolve())
+    for frame in capture.source:
         for pixels in (frame.color, frame.depth):
             path = getattr(pixels, "path", None)
             if isinstance(path, Path):

@@ -40,7 +40,8 @@ def read(directory: Path) -> SourceCapture:
     Raises:
         TFLabError: a part is missing or damaged, or no frame is usable.
     """
-    camera, scale = _parameters(directory)
+    file = _parameters_file(directory)
+    camera, scale = _parameters(file)
     poses = read_poses(directory / "traj.txt", f"{LAYOUT} belong together")
     results = directory / "results"
     frames, skipped = [], []
@@ -51,18 +52,21 @@ def read(directory: Path) -> SourceCapture:
         if int(named[1]) >= len(poses):
             skipped.append(f"{color.stem}: traj.txt has only {len(poses)} lines")
             continue
-        file = results / f"depth{named[1]}.png"
-        depth = DepthFile(file, scale) if file.is_file() else None
+        path = results / f"depth{named[1]}.png"
+        depth = DepthFile(path, scale) if path.is_file() else None
         frames.append(
             SourceFrame(color.stem, camera, poses[int(named[1])], ColorFile(color), depth)
         )
-    return collect(directory, frames, skipped, DOWN)
+    return collect(directory, frames, skipped, DOWN, beside=[file])
 
 
-def _parameters(directory: Path) -> tuple[Camera, float]:
-    """The camera, and the units of depth a metre."""
+def _parameters_file(directory: Path) -> Path:
     places = (directory / PARAMETERS, directory.resolve().parent / PARAMETERS)
-    file = next((place for place in places if place.is_file()), places[0])
+    return next((place for place in places if place.is_file()), places[0])
+
+
+def _parameters(file: Path) -> tuple[Camera, float]:
+    """The camera, and the units of depth a metre."""
     cure = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}}, beside the scene or in it'
     document = read_document(file, cure).get("camera")
     if not isinstance(document, dict):

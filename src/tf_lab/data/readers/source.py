@@ -98,6 +98,7 @@ class Given:
         down: the direction of gravity [3] in the source's world, where its format states it.
         metric: whether the poses are in metres; False: the scale is unknown.
         convention: how the layout writes poses.
+        beside: files outside of the source, other than images, that it was read from.
     """
 
     source: Path
@@ -106,6 +107,7 @@ class Given:
     down: Sequence[float] | None = None
     metric: bool = True
     convention: Convention = OURS
+    beside: Sequence[Path] = ()
 
 
 @dataclass(frozen=True)
@@ -207,6 +209,7 @@ def collect(
     down: Sequence[float] | None = None,
     metric: bool = True,
     convention: Convention = OURS,
+    beside: Sequence[Path] = (),
 ) -> SourceCapture:
     """The capture of what a reader found (see `Given` and `usable`).
 
@@ -214,7 +217,7 @@ def collect(
     cameras, lose it, and the log says so.
     """
     sized = _unscaled(source, [_sized(frame) for frame in frames])
-    given = Given(source, sized, skipped, down, metric, convention)
+    given = Given(source, sized, skipped, down, metric, convention, beside)
     return usable(given, centred=False)  # intrinsics may still be mended
 
 
