@@ -59,6 +59,13 @@ def test_files_outside_count_where_they_are_referred_to(capture: Path) -> None:
     assert not found.unchanged(capture)
 
 
+def test_the_camera_of_all_replica_captures_counts(capture: Path) -> None:
+    before = find_sources(capture)
+    (capture.parent / "cam_params.json").write_text("{}")
+    assert not before.unchanged(capture)
+    assert find_sources(capture).difference(before) == "../cam_params.json added"
+
+
 def test_the_digest_is_of_names_and_contents_alone(capture: Path, tmp_path: Path) -> None:
     before = find_sources(capture)
     moved = capture.rename(tmp_path / "office")

@@ -14,11 +14,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tf_lab.data.gravity import DIRECTION_FILE
+from tf_lab.data.readers.replica import PARAMETERS
 from tf_lab.errors import TFLabError
 from tf_lab.files import write_json
 
 RECORD = "sources.json"
 COMPANIONS = ("poses.txt", "K.txt", DIRECTION_FILE)  # of a video, beside it
+ABOVE = (f"../{PARAMETERS}",)  # of Replica, for all its captures
 NEVER_READ = (".md", ".zip", ".ply", ".obj", ".glb", ".db")  # notes, archives, results
 OFFICIAL = ("_vh_clean_2.ply", "_vh_clean_2.labels.ply")  # ScanNet's, which are
 
@@ -113,7 +115,7 @@ def stamps_of(source: Path, also: Iterable[str] = ()) -> dict[str, Stamp]:
         entry.path[start:]: _stamp(entry.stat())
         for entry in (_beside(source) if source.is_file() else _walk(folder, set()))
     }
-    for name in also:
+    for name in (*also, *ABOVE):
         if name not in stamps and (folder / name).is_file():
             stamps[name] = _stamp((folder / name).stat())
     return stamps
