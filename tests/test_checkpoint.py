@@ -182,4 +182,8 @@ def test_where_shipped_files_lie() -> None:
 
     package = Path(tf_lab.__file__).parent
     assert shipped_checkpoint() == package / "weights" / "tiny.safetensors"
+    assert (
+        shipped_encoder("small", "efficientnet_lite0")
+        == package / "weights" / "efficientnet_lite0-encoder.safetensors"
+    )
     assert shipped_encoder("small") == package / "weights" / "small-encoder.safetensors"

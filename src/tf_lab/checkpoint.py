@@ -76,6 +76,8 @@ def shipped_checkpoint(name: str = "tiny") -> Path:
 
 
 def shipped_encoder(model: str, encoder: str = "resnet") -> Path:
-    """The pre-trained encoder ("rooms") that comes with the package for a model size, if any."""
-    kind = "" if encoder == "resnet" else f"-{encoder}"
-    return SHIPPED / f"{model}{kind}-encoder.safetensors"
+    """The pre-trained encoder ("rooms") that comes with the package, if any.
+
+    A ResNet has its size from the model; any other encoder is the same for all.
+    """
+    return SHIPPED / f"{model if encoder == 'resnet' else encoder}-encoder.safetensors"
