@@ -83,7 +83,9 @@ def _prepare(config: dict[str, Any]) -> int:
     settings = scene_settings(config)
     memory = round(config["data"]["memory"] * 2**30)
     root = scenes_root(config)
-    prepared = prepare_captures(sources, root, settings, config["data"]["workers"], memory)
+    prepared = prepare_captures(
+        sources, root, settings, config["data"]["workers"], memory, config["check"]
+    )
     print(summarise(prepared, root / settings.key))
     if config["pictures"]:
         scenes = {f"{name}-{d.name}": d for name, d in prepared.scenes.items()}

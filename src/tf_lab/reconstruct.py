@@ -8,6 +8,7 @@ Without an input it reconstructs a test room and prints its score.
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -21,6 +22,7 @@ from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.commands import command, device_of, plain
 from tf_lab.configuration import ready, test_settings
 from tf_lab.data.capture import Capture
+from tf_lab.data.diagnosis import quick_warning
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.settings import ReadSettings
@@ -86,7 +88,11 @@ def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:
     """The input at the image size that the checkpoint was trained at; a test room without one."""
     if config["input"] is None:
         return Scene(prepare_data(config, ("test",))["test"][0])
-    capture = open_capture(Path(config["input"]), ReadSettings.of(config))
+    settings = ReadSettings.of(config)
+    capture = open_capture(Path(config["input"]), settings)
+    warning = quick_warning(capture, settings) if config["check"] else None
+    if warning is not None:
+        print(f"warning: {config['input']}: {warning}", file=sys.stderr)
     data = info.get("training", {}).get("config", {}).get("data", {})
     if "width" not in data:
         return capture

@@ -24,6 +24,7 @@ import torch
 from tf_lab.data import groundtruth, scene
 from tf_lab.data.capture import Capture
 from tf_lab.data.chunk_weights import Structure
+from tf_lab.data.diagnosis import quick_warning
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.preparation import run_tasks
@@ -114,10 +115,12 @@ def import_capture(
     memory: int,
     original: Capture | None = None,
     digest: str | None = None,
+    check: bool = True,
 ) -> None:
     """Write a capture as a scene with ground truth (not atomic: give a temporary directory).
 
-    Frames that cannot be read or have no depth are left out, and listed in the scene.
+    Frames that cannot be read or have no depth are left out, and listed in the scene. What a quick
+    check finds wrong with the cameras goes into its provenance.
 
     Args:
         directory: of the scene.
@@ -126,6 +129,7 @@ def import_capture(
         memory: bytes to take for depth fusion.
         original: the capture, if it is open already.
         digest: of its sources, for the scene's provenance.
+        check: whether to look for cameras that are clearly wrong.
 
     Raises:
         TFLabError: nothing usable is left.
@@ -134,7 +138,13 @@ def import_capture(
     size = (settings.width, settings.height)
     capture = original if original.size == size else Resized(original, size)
     skipped = list(capture.skipped)
-    provenance = {"source": source.name, "sources": digest, "settings": asdict(settings)}
+    warning = quick_warning(original, settings.read) if check else None
+    provenance = {
+        "source": source.name,
+        "sources": digest,
+        "settings": asdict(settings),
+        "warning": warning,
+    }
     made = write_scene(
         directory,
         _frames(capture, settings.keyframe_distance, skipped),
@@ -182,6 +192,7 @@ def prepare_captures(
     settings: ImportSettings,
     workers: int | None = None,
     memory: int = 2**30,
+    check: bool = True,
 ) -> Prepared:
     """Make the scenes that do not exist yet or whose sources changed, one process a scene.
 
@@ -193,6 +204,7 @@ def prepare_captures(
         settings: for all of them.
         workers: processes; None: one a core.
         memory: bytes a process may take for depth fusion.
+        check: whether to look for cameras that are clearly wrong; they make scenes all the same.
     """
     folder = root / settings.key
     try:
@@ -209,8 +221,8 @@ def prepare_captures(
             tasks = {}
             for name in outdated:
                 remove_abandoned(folder / name)
-                make = partial(make_scene, folder / name, sources[name], settings, memory)
-                tasks[name] = make
+                job = (folder / name, sources[name], settings, memory, check)
+                tasks[name] = partial(make_scene, *job)
             failed = run_tasks(tasks, "preparing scenes", workers) if tasks else {}
         _say_changes(folder, {n: s for n, s in outdated.items() if s and n not in failed})
     for name in failed:
@@ -249,7 +261,9 @@ def _is_capture(path: Path) -> bool:
     return path.exists() and bool(detect_format(path))
 
 
-def make_scene(place: Path, source: Path, settings: ImportSettings, memory: int) -> None:
+def make_scene(
+    place: Path, source: Path, settings: ImportSettings, memory: int, check: bool = True
+) -> None:
     """Make a capture's scene as ``place/<sources' digest>``, if it is not there; note its sources.
 
     Raises:
@@ -267,7 +281,7 @@ def make_scene(place: Path, source: Path, settings: ImportSettings, memory: int)
     directory = place / sources.digest
     if not directory.is_dir():
         with atomic_directory(directory) as temporary:
-            import_capture(temporary, source, settings, memory, capture, sources.digest)
+            import_capture(temporary, source, settings, memory, capture, sources.digest, check)
             if not (before.stamps.items() <= sources.stamps.items() and sources.unchanged(source)):
                 raise TFLabError(f"{source}: changed while it was read; prepare it again")
     sources.write(place)
@@ -303,17 +317,19 @@ def summarise(prepared: Prepared, folder: Path) -> str:
     """What was made, skipped and why, as text; ``prepare.json`` in the folder has all of it."""
     reasons: Counter[str] = Counter()
     details: dict[str, Any] = {}
-    frames = 0
+    frames, warnings = 0, []
     for name, directory in prepared.scenes.items():
         opened = Scene(directory)
         frames += len(opened)
         reasons.update(_kind(line) for line in opened.skipped)
-        details[name] = {"frames": len(opened), "skipped": opened.skipped}
+        warning = opened.provenance.get("warning")
+        warnings += [f"  warning {name}: {warning}"] if warning else []
+        details[name] = {"frames": len(opened), "skipped": opened.skipped, "warning": warning}
     write_json(folder / "prepare.json", {"scenes": details, "failed": prepared.failed})
     lines = [f"{folder}: {len(prepared.scenes)} scenes, {frames} frames"]
     lines += [f"  skipped {count} frames: {reason}" for reason, count in reasons.most_common(5)]
     lines += [f"  failed {name}: {reason}" for name, reason in prepared.failed.items()]
-    return "\n".join(lines)
+    return "\n".join([*lines, *warnings])
 
 
 def _kind(line: str) -> str:

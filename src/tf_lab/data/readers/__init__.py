@@ -74,12 +74,15 @@ READERS: tuple[Reader, ...] = (
 SCENE = "scene"
 
 
-def open_capture(path: Path | str, settings: ReadSettings = AS_STATED) -> Capture:
+def open_capture(
+    path: Path | str, settings: ReadSettings = AS_STATED, centred: bool = True
+) -> Capture:
     """Open posed images as a capture in a z-up world in metres.
 
     Args:
         path: a prepared scene or a source in one of the layouts of `READERS`.
         settings: how it is read.
+        centred: frames whose principal point lies outside of the image are left out.
 
     Raises:
         TFLabError: the source is missing, of no known layout, or damaged, or the settings do not
@@ -100,7 +103,14 @@ def open_capture(path: Path | str, settings: ReadSettings = AS_STATED) -> Captur
     if name not in readers:
         known = ", ".join([SCENE, *readers])
         raise TFLabError(f"format={name}: no such layout; known are {known}")
-    capture = mended(readers[name].read(path), settings)
+    return as_read(readers[name].read(path), path, settings, centred)
+
+
+def as_read(
+    source: SourceCapture, path: Path, settings: ReadSettings, centred: bool = True
+) -> SourceCapture:
+    """What a reader found at a path, mended, z-up and in metres; see `open_capture`."""
+    capture = mended(source, settings, centred)
     return _upright(_metric(capture, path, settings.scale), path, settings.gravity)
 
 

@@ -36,7 +36,7 @@ class Turned:
         return str(self.pixels)
 
 
-def mended(capture: SourceCapture, settings: ReadSettings) -> SourceCapture:
+def mended(capture: SourceCapture, settings: ReadSettings, centred: bool = True) -> SourceCapture:
     """The capture with the settings' mends, in its own world (a mirrored one of a left-handed).
 
     Raises:
@@ -52,7 +52,7 @@ def mended(capture: SourceCapture, settings: ReadSettings) -> SourceCapture:
         _mended_frame(replace(frame, world_T_cam=pose), settings)
         for frame, pose in zip(given.frames, poses, strict=True)
     ]
-    found = usable(replace(given, frames=frames))
+    found = usable(replace(given, frames=frames), centred)
     return replace(found, given=given, source_T_world=world_mirror(settings))
 
 
