@@ -75,7 +75,8 @@ def test_the_groups_of_the_contract_exist() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_composes(name: str) -> None:
-    given = ["predictions=a", "groundtruth=b"] if name == "evaluate" else []
+    needed = {"evaluate": ["predictions=a", "groundtruth=b"], "check": ["input=a"]}
+    given = needed.get(name, [])
     assert composed(name, *given)
 
 

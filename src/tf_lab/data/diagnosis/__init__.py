@@ -17,7 +17,8 @@ from tf_lab.data.diagnosis.statistics import describe
 from tf_lab.data.diagnosis.verdict import UNKNOWN, WRONG, Report, judge, too_poor
 from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 
-PAIRS, FEW = 60, 10  # of images: of a whole check, and of a quick one
+PAIRS, FEW = 60, 12  # of images: of a whole check, and of a quick one
+NARROW = 400  # pixels, for a quick one
 
 logger = logging.getLogger(__name__)
 
@@ -53,7 +54,7 @@ def quick_warning(capture: Capture, settings: ReadSettings = AS_STATED) -> str |
     It never fails: whatever goes wrong here, the capture may still be of use.
     """
     try:
-        evidence = Evidence(capture, settings, match_capture(Album(capture), FEW))
+        evidence = Evidence(capture, settings, match_capture(Album(capture, NARROW), FEW))
         if too_poor(evidence):
             return None
         found = search(evidence, thorough=False)

@@ -83,7 +83,9 @@ def moved_centre(settings: ReadSettings, x: float, y: float) -> Alternative:
     """A principal point so many pixels off."""
     before = settings.principal if isinstance(settings.principal, tuple) else (0.0, 0.0)
     value = (round(before[0] + x, 1), round(before[1] + y, 1))
-    return _changed(settings, f"principal point off by {value}", principal=value)
+    return _changed(
+        settings, f"principal point moved by {value[0]:g}, {value[1]:g}", principal=value
+    )
 
 
 def _changed(settings: ReadSettings, text: str, **change: object) -> Alternative:

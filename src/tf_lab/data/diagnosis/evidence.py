@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,6 +61,7 @@ class Evidence:
         self.capture, self.settings, self.pairs = capture, settings, pairs
         self.frames = sorted({index for pair in pairs for index in (pair.i, pair.j)})
         self.given = given_of(capture)
+        self._known_poses: dict[tuple[object, ...], list[np.ndarray]] = {}
         self._numbers = {frame.name: n for n, frame in enumerate(self.given.frames)}
         places = {index: place for place, index in enumerate(self.frames)}
         self.first = np.array([places[pair.i] for pair in pairs], int)
@@ -69,6 +69,12 @@ class Evidence:
         self.a, self.b = (np.full((len(pairs), MOST, 2), np.nan) for _ in range(2))
         for row, pair in enumerate(pairs):
             self.a[row, : len(pair.a)], self.b[row, : len(pair.b)] = pair.a, pair.b
+
+    @property
+    def centred(self) -> bool:
+        """Whether the principal points lie in the images, as the capture was read."""
+        centres, size = self.capture.K[:, :2, 2], np.array(self.capture.size)
+        return bool(((centres >= -0.5) & (centres < size)).all())
 
     def geometry(self, settings: ReadSettings) -> Geometry:
         """The cameras of the frames, had the capture been read with these settings."""
@@ -88,22 +94,30 @@ class Evidence:
         size = (height, width) if turn % 180 else (width, height)
         cameras: dict[Camera, np.ndarray] = {}
         found = []
-        for number, pose in zip(numbers, mended_poses(self.given, settings, numbers), strict=True):
-            pose = pose.copy()
-            pose[:3, 3] *= settings.scale or 1.0
+        for number, pose in zip(numbers, self._poses(settings, numbers), strict=True):
             camera = self.given.frames[number].camera
             if camera not in cameras:
                 cameras[camera] = _intrinsics(camera, settings, size)
             found.append((pose, cameras[camera]))
         return found
 
+    def _poses(self, settings: ReadSettings, numbers: list[int]) -> list[np.ndarray]:
+        """world_T_cam [4, 4] of the reader's frames, metres; the same for all intrinsics."""
+        said = (settings.poses, settings.axes, settings.rotations, settings.quaternions)
+        key = (*said, settings.shift, settings.scale, *numbers)
+        if key not in self._known_poses:
+            poses = [pose.copy() for pose in mended_poses(self.given, settings, numbers)]
+            for pose in poses:
+                pose[:3, 3] *= settings.scale or 1.0
+            self._known_poses[key] = poses
+        return self._known_poses[key]
+
     def errors(self, geometry: Geometry) -> np.ndarray:
         """Median Sampson distance of each pair [P], pixels; NaN without poses."""
-        if not len(self.pairs):
-            return np.zeros(0)
-        with warnings.catch_warnings():  # of a pair without poses nothing is known
-            warnings.simplefilter("ignore", RuntimeWarning)
-            return np.asarray(np.nanmedian(self.distances(geometry), axis=1))
+        ordered = np.sort(self.distances(geometry), axis=1)  # NaN last
+        count = np.isfinite(ordered).sum(1)
+        rows = np.arange(len(ordered))
+        return np.asarray(ordered[rows, count // 2 - (count > 0) * (count % 2 == 0)])
 
     def distances(self, geometry: Geometry) -> np.ndarray:
         """Sampson distance of every match [P, MOST], pixels; NaN where there is none."""

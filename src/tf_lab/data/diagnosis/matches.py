@@ -49,13 +49,17 @@ class Features:
 class Album:
     """The features of a capture's images, found when they are asked for.
 
+    Args:
+        capture: whose images.
+        width: pixels; larger images are made smaller.
+
     Attributes:
         sharpness, brightness: of every image read so far, by frame: the variance of the Laplacian
             of grey values, and their mean (0 to 255).
     """
 
-    def __init__(self, capture: Capture) -> None:
-        self.capture = capture
+    def __init__(self, capture: Capture, width: int = 640) -> None:
+        self.capture, self._width = capture, width
         self.sharpness: dict[int, float] = {}
         self.brightness: dict[int, float] = {}
         self._features: dict[int, Features] = {}
@@ -72,7 +76,7 @@ class Album:
             grey = cv2.cvtColor(self.capture.image(index), cv2.COLOR_RGB2GRAY)
         except TFLabError:
             return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
-        factor = 640 / max(grey.shape[1], 640)  # no more pixels than needed
+        factor = self._width / max(grey.shape[1], self._width)
         if factor < 1:
             grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         self.sharpness[index] = float(cv2.Laplacian(grey, cv2.CV_64F).var())

@@ -34,10 +34,14 @@ def draw(report: Report, evidence: Evidence, path: Path) -> None:
 
 
 def _typical(evidence: Evidence) -> list[int]:
-    """Two pairs with many matches, one of each half of the capture."""
-    rows = np.arange(len(evidence.pairs))
-    halves = [half for half in np.array_split(rows, 2) if len(half)]
-    return [int(max(half, key=lambda row: len(evidence.pairs[row].a))) for half in halves]
+    """Two pairs, one of each half of the capture: of those not better than most, the richest."""
+    errors = evidence.errors(evidence.geometry(evidence.settings))
+    halves = [half for half in np.array_split(np.arange(len(errors)), 2) if len(half)]
+    usual = [half[errors[half] >= np.median(errors[half])] for half in halves]
+    return [
+        int(max(some if len(some) else half, key=lambda row: len(evidence.pairs[row].a)))
+        for some, half in zip(usual, halves, strict=True)
+    ]
 
 
 def _draw_pair(axes: list[Axes], evidence: Evidence, geometry: Geometry, row: int) -> None:

@@ -8,7 +8,8 @@ pair share its pose.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -43,14 +44,19 @@ class Candidate:
         setting: "NAME=VALUE ...", empty as given.
         settings: with these.
         errors: [P] median Sampson distance of each pair, pixels; NaN without poses.
-        in_front: share of points in front of both cameras; NaN where there is no parallax.
+        evidence: the matches.
     """
 
     text: str
     setting: str
     settings: ReadSettings
     errors: np.ndarray
-    in_front: float
+    evidence: Evidence
+
+    @cached_property
+    def in_front(self) -> float:
+        """Share of points in front of both cameras; NaN where there is no parallax."""
+        return self.evidence.in_front(self.evidence.geometry(self.settings))
 
     @property
     def error(self) -> float:
@@ -108,7 +114,7 @@ def search(evidence: Evidence, thorough: bool = True) -> Found:
     same = [
         c.setting
         for c in tried
-        if c.possible and not _small_change(c, evidence) and not _better(evidence, given, c, 1.25)
+        if not _small_change(c, evidence) and not _better(evidence, given, c, 1.25) and c.possible
     ]
     tried.sort(key=lambda candidate: candidate.error)
     return Found(given, best, tried, same, _best_focal(evidence, best)[1])
@@ -137,7 +143,7 @@ def _candidate(evidence: Evidence, alternative: Alternative) -> Candidate:
         alternative.setting,
         alternative.settings,
         evidence.errors(geometry),
-        evidence.in_front(geometry),
+        evidence,
     )
 
 
@@ -148,7 +154,7 @@ def _joined(first: Candidate, second: Candidate) -> Candidate:
         f"{first.setting} {second.setting}",
         second.settings,
         second.errors,
-        second.in_front,
+        second.evidence,
     )
 
 
@@ -157,9 +163,9 @@ def _winner(evidence: Evidence, now: Candidate, options: list[Candidate]) -> Can
     better = [
         option
         for option in options
-        if option.possible
-        and not _negligible(option, now, evidence)
+        if not _negligible(option, now, evidence)
         and _better(evidence, option, now, SOMEWHAT if _small_change(option, evidence) else CLEARLY)
+        and option.possible
     ]
     if not now.possible and not better:  # the same lines, but seen from the other side
         better = [o for o in options if o.possible and not _better(evidence, now, o, SOMEWHAT)]
@@ -211,19 +217,24 @@ def _negligible(option: Candidate, now: Candidate, evidence: Evidence) -> bool:
 
 def _best_focal(evidence: Evidence, now: Candidate) -> tuple[Candidate, tuple[float, float, float]]:
     """The best focal length beside ``now``, and its factor with an interval of 98 %."""
-    factors = np.geomspace(*FOCAL_RANGE, 29)
-    rows = []
-    for factor in factors:
-        found = evidence.errors(evidence.geometry(focal(now.settings, float(factor)).settings))
-        rows.append(_logs(evidence, found))
-    curves = np.stack(rows)
-    curves = curves[:, np.isfinite(curves).all(0)]
+
+    def curves_of(factors: np.ndarray) -> np.ndarray:
+        rows = []
+        for factor in factors:
+            settings = replace(now.settings, focal_scale=now.settings.focal_scale * float(factor))
+            rows.append(_logs(evidence, evidence.errors(evidence.geometry(settings))))
+        curves = np.stack(rows)
+        return np.asarray(curves[:, np.isfinite(curves).all(0)])
+
+    factors = np.geomspace(*FOCAL_RANGE, 25)
+    curves = curves_of(factors)
     if not curves.size:
         return now, (1.0, *FOCAL_RANGE)
     draws = np.random.default_rng(0).integers(0, curves.shape[1], (DRAWS, curves.shape[1]))
     sums = curves[:, draws].mean(2)
     low, high = np.quantile([_lowest(factors, sums[:, d]) for d in range(DRAWS)], [0.01, 0.99])
-    best = _lowest(factors, curves.mean(1))
+    near = _lowest(factors, curves.mean(1)) * np.geomspace(0.98, 1.02, 9)
+    best = _lowest(near, curves_of(near).mean(1))
     return _candidate(evidence, focal(now.settings, best)), (best, float(low), float(high))
 
 

@@ -20,7 +20,7 @@ from tf_lab.errors import TFLabError
 PAIRS = 24
 BASELINE = (0.12, 0.7, 0.35)  # metres: least, most, best; near views agree under any camera
 ALIKE = 0.87  # cosine of the angle between the views
-POINTS = 6000  # of a depth map
+POINTS = 4000  # of a depth map
 LEAST = 500  # that both images see
 FACTORS = np.geomspace(0.75, 1.34, 25)
 OFFSETS = np.arange(-0.06, 0.0601, 0.01)  # metres

@@ -147,6 +147,10 @@ def _judge_cameras(
             *best.setting.split(),
             "depth_camera=as_given" if alone else "",
         )
+    elif not evidence.centred:
+        judgement.add(
+            WRONG, "the principal point lies outside of the images: the intrinsics are of others"
+        )
     elif not given.possible:
         judgement.add(
             WRONG, f"{1 - given.in_front:.0%} of what the images show lies behind the cameras"

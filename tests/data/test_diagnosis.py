@@ -1,0 +1,240 @@
+"""Captures with a known fault, and without: what the check says of them."""
+
+from dataclasses import replace
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from injections import INJECTIONS, Frames, opened
+from layouts import LAYOUTS
+from tf_lab.data.diagnosis import diagnose, quick_warning
+from tf_lab.data.diagnosis.evidence import Evidence
+from tf_lab.data.diagnosis.matches import Pair, sampson_pixels
+from tf_lab.data.diagnosis.verdict import DOUBTFUL, FINE, UNKNOWN, WRONG, Report
+from tf_lab.data.lens import Camera
+from tf_lab.data.readers import as_read, open_capture
+from tf_lab.data.readers.settings import AS_STATED, ReadSettings
+from tf_lab.data.readers.source import (
+    ColorFile,
+    DepthFile,
+    SourceCapture,
+    SourceFrame,
+    collect,
+)
+from tf_lab.data.rooms import RoomSettings, generate_room
+from tf_lab.data.scene import Frame
+
+DOWN = ReadSettings(gravity=(0.0, 0.0, -1.0))
+SIZE, FOCAL = (160, 120), 130.0
+COUNT = 9
+K = np.array([[FOCAL, 0, 79.5], [0, FOCAL, 59.5], [0, 0, 1.0]])
+
+
+@lru_cache(maxsize=1)
+def room() -> tuple[Frame, ...]:
+    """Neighbouring views of a test room, as many as a check needs."""
+    settings = RoomSettings(width=160, height=120, frames=60, samples=1)
+    return tuple(islice(generate_room(3, settings), 24))
+
+
+def checked(frames: Frames, quaternions: str | None = None) -> Report:
+    return diagnose(opened(frames, DOWN, quaternions), DOWN, Path("made up"))[0]
+
+
+# --- the geometry, against points that are known --------------------------------------------------
+
+
+def poses() -> list[np.ndarray]:
+    """A walk along an arc, looking at what lies ahead and turning."""
+    found = []
+    for i in range(COUNT):
+        yaw, pitch, roll = 0.05 * i, 0.02 * i * (-1) ** i, 0.03 * i
+        cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (np.cos, np.sin))
+        pose = np.eye(4)
+        pose[:3, :3] = (
+            np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+            @ np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+            @ np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+        )
+        pose[:3, 3] = [0.1 * i, 0.02 * i * i, 0.05 * i]
+        found.append(pose)
+    return found
+
+
+def seen(pose: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [N, 2] and depths [N] of points."""
+    camera = (points - pose[:3, 3]) @ pose[:3, :3]
+    return (camera @ K.T)[:, :2] / camera[:, 2:], camera[:, 2]
+
+
+def exact_evidence() -> tuple[Evidence, list[np.ndarray]]:
+    """Matches without any error, and the depths of the points in each pair's first image."""
+    points = np.random.default_rng(0).uniform([-1, -1, 3], [1.5, 1, 5], (40, 3))
+    black = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+    frames = [Frame(str(i), black, K, pose, None) for i, pose in enumerate(poses())]
+    pairs, depths = [], []
+    for i in range(COUNT - 1):
+        (a, z), (b, _) = seen(poses()[i], points), seen(poses()[i + 1], points)
+        pairs.append(Pair(i, i + 1, a, b, 0.0))
+        depths.append(z)
+    return Evidence(opened(frames, DOWN), DOWN, pairs), depths
+
+
+def test_exact_matches_have_no_error_and_the_depth_they_have() -> None:
+    evidence, depths = exact_evidence()
+    geometry = evidence.geometry(DOWN)
+    np.testing.assert_allclose(evidence.errors(geometry), 0, atol=1e-9)
+    z, _ = evidence.depths(geometry)
+    known = np.isfinite(z[:, :40])
+    assert known.mean() > 0.3
+    np.testing.assert_allclose(z[:, :40][known], np.stack(depths)[known], rtol=1e-6)
+    assert evidence.in_front(geometry) == 1
+
+
+def test_the_sampson_distance_is_that_to_the_nearest_pair_of_points() -> None:
+    """Of a camera that moves to the right, lines are rows: half the offset in each image."""
+    F = np.array([[0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    a, b = np.array([[10.0, 20.0], [3.0, 4.0]]), np.array([[15.0, 20.0], [9.0, 5.0]])
+    np.testing.assert_allclose(sampson_pixels(F, a, b), [0, 1 / np.sqrt(2)], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "zero"),
+    [({"turn": 180}, False), ({"axes": "lub"}, True), ({"axes": "opengl"}, False)],
+)
+def test_what_epipolar_geometry_cannot_tell_depth_does(
+    change: dict[str, object], zero: bool
+) -> None:
+    """Axes of all signs changed have the same epipolar lines, and all points behind them."""
+    evidence, _ = exact_evidence()
+    geometry = evidence.geometry(replace(DOWN, **change))  # type: ignore[arg-type]
+    assert (evidence.errors(geometry).max() < 1e-9) == zero
+    if zero:
+        assert evidence.in_front(geometry) == 0
+
+
+# --- rendered captures ----------------------------------------------------------------------------
+
+
+def test_a_right_capture_is_fine() -> None:
+    report = checked(list(room()))
+    assert (report.verdict, report.settings, report.findings) == (FINE, [], [])
+    assert report.found is not None
+    assert report.found.given.error < 0.3
+    assert report.found.focal[0] == pytest.approx(1, abs=0.02)
+    assert report.scale is not None
+    assert report.scale.factor == pytest.approx(1, abs=0.03)
+    assert report.sensors is not None
+    assert report.sensors.focal == pytest.approx(1, abs=0.03)
+    figures = report.statistics
+    assert figures is not None
+    assert (figures.frames, figures.lost, figures.size) == (24, 0, (160, 120))
+    centres = np.stack([f.world_T_cam[:3, 3] for f in room()])
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    assert figures.path == pytest.approx(steps.sum())
+    assert figures.height == pytest.approx(np.median(centres[:, 2]), abs=0.1)  # the floor is at 0
+    assert figures.field_of_view[0] == pytest.approx(
+        np.degrees(2 * np.arctan(80 / room()[0].K[0, 0]))
+    )
+
+
+FEW = ("inverted", "focal x 0.8")
+
+
+def assert_named(name: str, frames: Frames) -> None:
+    injection = INJECTIONS[name]
+    report = checked(injection.do(frames), injection.quaternions)
+    assert report.verdict == WRONG
+    assert injection.names(report.settings, frames), report.settings
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_a_fault_is_named(name: str) -> None:
+    assert_named(name, list(room()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in INJECTIONS if name not in FEW])
+def test_every_fault_is_named(name: str) -> None:
+    assert_named(name, list(room()))
+
+
+def test_a_quick_check_warns_in_a_line() -> None:
+    frames = list(room())
+    assert quick_warning(opened(frames, DOWN), DOWN) is None
+    wrong = INJECTIONS["opengl"].do(frames)
+    line = quick_warning(opened(wrong, DOWN), DOWN)
+    assert line is not None
+    assert "axes=opengl" in line
+    assert "\n" not in line
+
+
+def test_without_texture_nothing_is_guessed() -> None:
+    grey = [replace(f, image=np.full_like(f.image, 128)) for f in room()]
+    report = checked(INJECTIONS["inverted"].do(grey))
+    assert (report.verdict, report.settings) == (UNKNOWN, [])
+    assert "too little texture" in report.findings[0]
+    assert quick_warning(opened(grey, DOWN), DOWN) is None
+
+
+def test_a_camera_that_stands_still_tells_nothing_of_poses() -> None:
+    still = [replace(room()[0], name=str(i)) for i in range(12)]
+    report = checked(still)
+    assert report.verdict == UNKNOWN
+
+
+def test_without_depth_a_wrong_unit_is_doubted() -> None:
+    far = INJECTIONS["scale x 1000"].do([replace(f, depth=None) for f in room()])
+    report = checked(far)
+    assert report.verdict == DOUBTFUL
+    assert report.settings == ["scale=0.001"]
+
+
+def forced(folder: Path) -> SourceCapture:
+    """The real sequence with the depth camera's focal length for both cameras."""
+    camera = Camera((640, 480), 585.0, 585.0, 320.0, 240.0)
+    frames = [
+        SourceFrame(
+            pose.name.split(".")[0],
+            camera,
+            np.loadtxt(pose),
+            ColorFile(pose.with_name(pose.name.replace("pose.txt", "color.jpg"))),
+            DepthFile(pose.with_name(pose.name.replace("pose.txt", "depth.png"))),
+        )
+        for pose in sorted(folder.glob("*.pose.txt"))
+    ]
+    return as_read(collect(folder, frames, []), folder, AS_STATED)
+
+
+@pytest.mark.slow
+def test_two_sensors_taken_for_one(redkitchen: Path) -> None:
+    """The depth camera's focal length taken for colour's (525 of 585: a factor of 0.897)."""
+    report, _ = diagnose(forced(redkitchen), AS_STATED, redkitchen)
+    assert report.verdict == WRONG
+    name, _, value = report.settings[0].partition("=")
+    assert name == "focal_scale"
+    assert 0.865 < float(value) < 0.905
+    assert report.settings[1:] == ["depth_camera=as_given"]
+    assert report.sensors is not None
+    assert report.sensors.focal == pytest.approx(525 / 585, abs=0.015)
+    assert report.sensors.offset[0] == pytest.approx(0.025, abs=0.015)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", list(LAYOUTS))
+def test_no_layout_is_called_wrong(layout: str, tmp_path: Path) -> None:
+    """As read by each reader, a room is as right as it was; small, so that little can be told."""
+    module = LAYOUTS[layout]
+    path = module.write(tmp_path / "room", room())
+    report, _ = diagnose(open_capture(path, module.OPTIONS), module.OPTIONS, path)
+    assert report.verdict == FINE, report.findings
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20, 30))
+def test_no_room_is_called_wrong(seed: int) -> None:
+    report = checked(list(generate_room(seed, RoomSettings(frames=60))))
+    assert report.verdict == FINE, report.findings
