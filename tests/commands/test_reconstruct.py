@@ -202,3 +202,14 @@ def test_a_world_far_from_its_origin(reconstruct: Callable[..., Result], mine: P
     assert len(up.faces) == pytest.approx(len(near.faces), rel=0.2)
     np.testing.assert_allclose(source.bounds - place, near.bounds, atol=0.1)
     np.testing.assert_allclose(source.edges_unique_length, up.edges_unique_length, atol=1e-4)
+
+
+def test_wrong_cameras_are_warned_of(mine: Path, reconstruct: Callable[..., Result]) -> None:
+    poses = np.loadtxt(mine / "poses.txt").reshape(-1, 4, 4)
+    np.savetxt(mine / "poses.txt", np.linalg.inv(poses).reshape(-1, 16))
+    result = reconstruct("input=mine", "output=a.ply")
+    assert result.status == 0
+    (line,) = result.err.splitlines()
+    assert line.startswith("warning: mine: ")
+    assert "poses=world_to_camera" in line
+    assert reconstruct("input=mine", "output=b.ply", "check=false").err == ""

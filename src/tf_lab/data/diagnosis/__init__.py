@@ -64,5 +64,5 @@ def quick_warning(capture: Capture, settings: ReadSettings = AS_STATED) -> str |
         return None
     if report.verdict != WRONG:
         return None
-    cure = f"; {' '.join(report.settings)} mends it" if report.settings else ""
-    return f"{'; '.join(report.findings)}{cure}"
+    cure = f"; try {' '.join(report.settings)}" if report.settings else ""
+    return f"{'; '.join(report.findings)}{cure} (see python -m tf_lab.check)"

@@ -1,0 +1,90 @@
+"""`python -m tf_lab.check`: what a capture is told to be, on screen, as JSON and as a picture."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tiny_jobs import call
+
+from injections import INJECTIONS
+from layouts import plain, room_frames
+from tf_lab.data.captures import ImportSettings, Prepared, import_capture, summarise
+from tf_lab.data.readers.settings import ReadSettings
+
+DOWN = "gravity=[0,0,-1]"
+
+
+def written(fault: str | None, folder: Path) -> Path:
+    """A room in the plain layout, with a fault."""
+    frames = list(room_frames())
+    return plain.write(folder, frames if fault is None else INJECTIONS[fault].do(frames))
+
+
+@pytest.fixture
+def inverted(tmp_path: Path) -> Path:
+    return written("inverted", tmp_path / "kitchen")
+
+
+def test_a_right_capture(tmp_path: Path) -> None:
+    written(None, tmp_path / "kitchen")
+    result = call("check", "input=kitchen", DOWN)
+    assert (result.status, result.err) == (0, "")
+    assert result.out.splitlines()[-1] == "kitchen: fine"
+    for figure in ("24, of them keyframes", "96x72", "from: gravity=", "as given"):
+        assert figure in result.out
+    assert [path.name for path in tmp_path.iterdir()] == ["kitchen"]
+
+
+def test_a_wrong_capture_and_its_mend(inverted: Path, tmp_path: Path) -> None:
+    result = call("check", "input=kitchen", DOWN, "output=found")
+    assert (result.status, result.err) == (1, "")
+    assert "kitchen: wrong; to mend it: poses=world_to_camera" in result.out.splitlines()
+    report = json.loads((tmp_path / "found" / "check.json").read_text())
+    assert (report["verdict"], report["settings"]) == ("wrong", ["poses=world_to_camera"])
+    errors = {entry["setting"]: entry["error_pixels"] for entry in report["alternatives"]}
+    assert errors["poses=world_to_camera"] < 0.3 < 2 < errors[""]
+    assert report["statistics"]["frames"] == 24
+    with Image.open(tmp_path / "found" / "check.png") as picture:
+        assert min(picture.size) > 500
+        assert np.asarray(picture.convert("L")).std() > 20
+    mended = call("check", "input=kitchen", DOWN, "poses=world_to_camera")
+    assert (mended.status, mended.out.splitlines()[-1]) == (0, "kitchen: fine")
+
+
+def test_intrinsics_of_larger_images(tmp_path: Path) -> None:
+    """What reconstruct refuses is told here with its cure."""
+    K = room_frames()[0].K
+    larger = np.array([[2.0, 0, 0.6], [0, 2, 0.6], [0, 0, 1]]) @ K
+    plain.write(tmp_path / "kitchen", [replace(f, K=larger) for f in room_frames()])
+    result = call("check", "input=kitchen", DOWN)
+    assert result.status == 1
+    assert result.out.splitlines()[-1].endswith("wrong; to mend it: intrinsics_size=[192,144]")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "usage: python -m tf_lab.check input=DIR"),
+        (("input=nowhere",), "nowhere: no such folder"),
+        (("input=kitchen", "axes=blender"), "axes=blender: choose opencv"),
+        (("input=kitchen", "output=kitchen/K.txt"), "output=DIR names a folder"),
+    ],
+)
+def test_errors_are_a_line(inverted: Path, words: tuple[str, ...], told: str) -> None:
+    result = call("check", *words)
+    assert (result.status, len(result.err.splitlines())) == (2, 1)
+    assert told in result.err
+
+
+def test_prepare_warns(inverted: Path, tmp_path: Path) -> None:
+    settings = ImportSettings(48, 36, 0.0, ReadSettings(gravity=(0.0, 0.0, -1.0)))
+    for name, check in (("checked", True), ("unchecked", False)):
+        import_capture(tmp_path / name, inverted, settings, memory=2**28, check=check)
+    scenes = {name: tmp_path / name for name in ("checked", "unchecked")}
+    text = summarise(Prepared(scenes, {}), tmp_path)
+    (line,) = (line for line in text.splitlines() if "warning" in line)
+    assert "warning checked: poses are world to camera" in line
+    assert "try poses=world_to_camera" in line
