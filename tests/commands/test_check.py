@@ -79,12 +79,13 @@ def test_errors_are_a_line(inverted: Path, words: tuple[str, ...], told: str) ->
     assert told in result.err
 
 
-def test_prepare_warns(inverted: Path, tmp_path: Path) -> None:
-    settings = ImportSettings(48, 36, 0.0, ReadSettings(gravity=(0.0, 0.0, -1.0)))
+def test_prepare_warns(tmp_path: Path) -> None:
+    wrong = written("focal x 0.8", tmp_path / "kitchen")
+    settings = ImportSettings(48, 36, 0.5, ReadSettings(gravity=(0.0, 0.0, -1.0)))
     for name, check in (("checked", True), ("unchecked", False)):
-        import_capture(tmp_path / name, inverted, settings, memory=2**28, check=check)
+        import_capture(tmp_path / name, wrong, settings, memory=2**28, check=check)
     scenes = {name: tmp_path / name for name in ("checked", "unchecked")}
     text = summarise(Prepared(scenes, {}), tmp_path)
     (line,) = (line for line in text.splitlines() if "warning" in line)
-    assert "warning checked: poses are world to camera" in line
-    assert "try poses=world_to_camera" in line
+    assert "warning checked: focal length" in line
+    assert "try focal_scale=1.2" in line
