@@ -46,7 +46,7 @@ def opened(
     frames: Sequence[Frame], settings: ReadSettings, quaternions: str | None = None
 ) -> SourceCapture:
     """Frames as a capture; wrong intrinsics are left to the check."""
-    return as_read(source_of(frames, quaternions), Path("made up"), settings, centred=False)
+    return as_read(source_of(frames, quaternions), Path("made up"), settings, strict=False)
 
 
 Frames = list[Frame]

@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
         if output.exists() and not output.is_dir():
             raise TFLabError(f"{output}: is a file; output=DIR names a folder")
         output.mkdir(parents=True, exist_ok=True)
-    capture = open_capture(path, settings, centred=False)
+    capture = open_capture(path, settings, strict=False)
     report, evidence = diagnose(capture, settings, path)
     console = Console(highlight=False, soft_wrap=True)
     for table in tables(report):

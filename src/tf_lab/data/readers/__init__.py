@@ -75,14 +75,15 @@ SCENE = "scene"
 
 
 def open_capture(
-    path: Path | str, settings: ReadSettings = AS_STATED, centred: bool = True
+    path: Path | str, settings: ReadSettings = AS_STATED, strict: bool = True
 ) -> Capture:
     """Open posed images as a capture in a z-up world in metres.
 
     Args:
         path: a prepared scene or a source in one of the layouts of `READERS`.
         settings: how it is read.
-        centred: frames whose principal point lies outside of the image are left out.
+        strict: False takes what cannot be right, for a check: principal points outside of the
+            images, cameras too far apart, poses of unknown scale.
 
     Raises:
         TFLabError: the source is missing, of no known layout, or damaged, or the settings do not
@@ -103,15 +104,15 @@ def open_capture(
     if name not in readers:
         known = ", ".join([SCENE, *readers])
         raise TFLabError(f"format={name}: no such layout; known are {known}")
-    return as_read(readers[name].read(path), path, settings, centred)
+    return as_read(readers[name].read(path), path, settings, strict)
 
 
 def as_read(
-    source: SourceCapture, path: Path, settings: ReadSettings, centred: bool = True
+    source: SourceCapture, path: Path, settings: ReadSettings, strict: bool = True
 ) -> SourceCapture:
     """What a reader found at a path, mended, z-up and in metres; see `open_capture`."""
-    capture = mended(source, settings, centred)
-    return _upright(_metric(capture, path, settings.scale), path, settings.gravity)
+    capture = mended(source, settings, centred=strict)
+    return _upright(_metric(capture, path, settings.scale, strict), path, settings.gravity)
 
 
 def detect_format(path: Path) -> list[str]:
@@ -156,9 +157,11 @@ def _folders(path: Path) -> list[Path]:
     return sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
 
 
-def _metric(capture: SourceCapture, path: Path, scale: float | None) -> SourceCapture:
+def _metric(capture: SourceCapture, path: Path, scale: float | None, strict: bool) -> SourceCapture:
     """The capture in metres."""
     if scale is None:
+        if not strict:
+            return capture
         if capture.metric:
             check_extent(path, capture.world_T_cam)
             return capture
