@@ -102,7 +102,7 @@ def search(evidence: Evidence, thorough: bool = True) -> Found:
             options.append(_best_centre(evidence, best))
         if not step:
             tried += options
-        winner = _winner(evidence, best, options)
+        winner = _winner(evidence, best, options, CLEARLY if step else SOMEWHAT)
         if winner is None and not step and thorough and not _explained(evidence, given):
             options = [_candidate(evidence, a) for a in _two_changes(evidence, settings)]
             winner = _winner(evidence, best, options)
@@ -114,7 +114,7 @@ def search(evidence: Evidence, thorough: bool = True) -> Found:
     same = [
         c.setting
         for c in tried
-        if not _small_change(c, evidence) and not _better(evidence, given, c, 1.25) and c.possible
+        if not _small_change(c) and not _better(evidence, given, c, 1.25) and c.possible
     ]
     tried.sort(key=lambda candidate: candidate.error)
     return Found(given, best, tried, same, _best_focal(evidence, best)[1])
@@ -158,13 +158,18 @@ def _joined(first: Candidate, second: Candidate) -> Candidate:
     )
 
 
-def _winner(evidence: Evidence, now: Candidate, options: list[Candidate]) -> Candidate | None:
-    """The option that is beyond doubt better than ``now``; of equals the first."""
+def _winner(
+    evidence: Evidence, now: Candidate, options: list[Candidate], small: float = SOMEWHAT
+) -> Candidate | None:
+    """The option that is beyond doubt better than ``now``; of equals the first.
+
+    A change of degree must make the errors ``small`` times smaller, any other `CLEARLY`.
+    """
     better = [
         option
         for option in options
         if not _negligible(option, now, evidence)
-        and _better(evidence, option, now, SOMEWHAT if _small_change(option, evidence) else CLEARLY)
+        and _better(evidence, option, now, small if _small_change(option) else CLEARLY)
         and option.possible
     ]
     if not now.possible and not better:  # the same lines, but seen from the other side
@@ -198,7 +203,7 @@ def _better(evidence: Evidence, a: Candidate, b: Candidate, times: float) -> boo
     return bool((gain[draws].mean(1) <= 0.5 * np.log(times)).mean() < SURE)
 
 
-def _small_change(candidate: Candidate, evidence: Evidence) -> bool:
+def _small_change(candidate: Candidate) -> bool:
     """Whether it is one of degree, of which smaller errors may be told."""
     name = candidate.setting.split()[-1].partition("=")[0] if candidate.setting else ""
     return name in ("focal_scale", "principal", "shift")

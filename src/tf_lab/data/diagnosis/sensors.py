@@ -39,8 +39,9 @@ class Sensors:
         offset: (x, y) metres from where colour is taken for to where it fits best.
         best: mean ZNCC of both.
         apart: whether that is beyond doubt better, so that the two are not one camera.
-        shared: mean ZNCC if depth's focal length is changed with the colour's to that of the best
-            way to read the matches; NaN: that changes none.
+        shared: by how much depth maps of two frames differ (median, relative) if depth's focal
+            length is changed with the colour's to that of the best way to read the matches; NaN:
+            that changes none.
         alone: the same if colour's alone is.
     """
 
@@ -56,18 +57,29 @@ class Sensors:
 
 @dataclass(frozen=True)
 class _View:
-    """One pair: points [N, 3] in the camera of a, grey images, a's points in b's camera."""
+    """One pair: points [N, 3] in the camera of a, b's depth map, their grey images."""
 
     points: np.ndarray
     K_a: np.ndarray
     K_b: np.ndarray
     b_T_a: np.ndarray
+    depth: np.ndarray
     a: np.ndarray
     b: np.ndarray
 
-    def score(self, focal: float, offset: tuple[float, float], depth_focal: float) -> float:
-        """ZNCC; NaN if too few points are seen by both."""
+    def mismatch(self, depth_focal: float) -> float:
+        """Median relative difference of a's depth, moved to b, and b's; NaN: no overlap."""
         points = self.points / [depth_focal, depth_focal, 1.0]
+        moved = points @ self.b_T_a[:3, :3].T + self.b_T_a[:3, 3]
+        seen = _look_up(self.depth, moved, self.K_b, depth_focal, cv2.INTER_NEAREST)
+        known = seen > 0
+        if known.sum() < LEAST:
+            return float("nan")
+        return float(np.median(np.abs(moved[known, 2] / seen[known] - 1)))
+
+    def score(self, focal: float, offset: tuple[float, float]) -> float:
+        """ZNCC; NaN if too few points are seen by both."""
+        points = self.points
         moved = points @ self.b_T_a[:3, :3].T + self.b_T_a[:3, 3]
         x, y = (
             _look_up(image, seen - [*offset, 0.0], K, focal)
@@ -90,8 +102,8 @@ def compare_sensors(evidence: Evidence, best: Candidate) -> Sensors | None:
     if len(views) < 3:
         return None
 
-    def scores(focal: float, offset: tuple[float, float], depth_focal: float = 1.0) -> np.ndarray:
-        return np.array([view.score(focal, offset, depth_focal) for view in views])
+    def scores(focal: float, offset: tuple[float, float]) -> np.ndarray:
+        return np.array([view.score(focal, offset) for view in views])
 
     here = (0.0, 0.0)
     curve = [_mean(scores(float(f), here)) for f in FACTORS]
@@ -110,9 +122,16 @@ def compare_sensors(evidence: Evidence, best: Candidate) -> Sensors | None:
         offset,
         _mean(at_best),
         _sure(at_best - as_given),
-        _mean(scores(focal, here, focal)) if changed else float("nan"),
-        _mean(scores(focal, here)) if changed else float("nan"),
+        _mismatch(views, focal) if changed else float("nan"),
+        _mismatch(views, 1.0) if changed else float("nan"),
     )
+
+
+def _mismatch(views: list[_View], depth_focal: float) -> float:
+    """The geometric mean over the pairs."""
+    values = np.array([view.mismatch(depth_focal) for view in views])
+    values = values[np.isfinite(values)]
+    return float(np.exp(np.log(values + 1e-4).mean())) if len(values) else float("nan")
 
 
 def _mean(values: np.ndarray) -> float:
@@ -140,9 +159,11 @@ def _views(evidence: Evidence, geometry: Geometry, focal: float) -> list[_View]:
             images = [_grey(evidence.capture, index) for index in frames]
         except TFLabError:
             continue
-        if points is not None:
+        if points is not None and evidence.capture.depth(frames[1]) is not None:
             b_T_a = np.linalg.inv(geometry.world_T_cam[second]) @ geometry.world_T_cam[first]
-            views.append(_View(points, K[0], K[1], b_T_a, *images))
+            depth = evidence.capture.depth(frames[1])
+            assert depth is not None
+            views.append(_View(points, K[0], K[1], b_T_a, depth, *images))
     return views
 
 
@@ -179,12 +200,12 @@ def _grey(capture: Capture, index: int) -> np.ndarray:
     return cv2.GaussianBlur(grey, (3, 3), 0) + 1
 
 
-def _look_up(image: np.ndarray, points: np.ndarray, K: np.ndarray, focal: float) -> np.ndarray:
+def _look_up(
+    image: np.ndarray, points: np.ndarray, K: np.ndarray, focal: float, way: int = cv2.INTER_LINEAR
+) -> np.ndarray:
     """Values [N] of an image where a camera K of ``focal`` times the focal length sees."""
     z = np.where(points[:, 2] > 0.05, points[:, 2], np.nan)
     u = focal * K[0, 0] * points[:, 0] / z + K[0, 2]
     v = focal * K[1, 1] * points[:, 1] / z + K[1, 2]
     u, v = (np.nan_to_num(value, nan=-9.0).clip(-9, 30_000).astype(np.float32) for value in (u, v))
-    return cv2.remap(
-        image, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
-    )[:, 0]
+    return cv2.remap(image, u[:, None], v[:, None], way, borderMode=cv2.BORDER_CONSTANT)[:, 0]

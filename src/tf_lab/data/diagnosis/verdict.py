@@ -140,7 +140,7 @@ def _judge_cameras(
     given, best = found.given, found.best
     limit = USABLE * evidence.capture.size[0]
     if best is not given:
-        alone = sensors is not None and sensors.alone > sensors.shared
+        alone = sensors is not None and sensors.alone < sensors.shared
         judgement.add(
             WRONG,
             f"{best.text}: the error falls from {given.error:.2f} to {best.error:.2f} pixels",
