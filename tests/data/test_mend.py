@@ -44,7 +44,7 @@ def assert_right(capture: Capture, first: int = 0, count: int = COUNT) -> None:
 
 
 def true_poses() -> list[np.ndarray]:
-    return [frame.world_T_cam for frame in frames()]
+    return [frame.world_T_cam.copy() for frame in frames()]
 
 
 def transposed(pose: np.ndarray) -> np.ndarray:
