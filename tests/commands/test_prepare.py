@@ -129,7 +129,7 @@ def test_flats_are_a_data_group_like_rooms(cache: Path) -> None:
     assert frames % 12 == 0
     assert f"flat_2000000: {frames} frames, median point seen by" in result.out
     config = tiny_config(*arguments, f"data.root={cache}")
-    assert scene_directory(config, "flat_2000000") == flat
+    assert scene_directory(config, "flat_2000000", None) == flat
     assert set(config["data"]["version"]) == {"groundtruth", "flats"}
 
 

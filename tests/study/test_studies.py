@@ -20,7 +20,7 @@ def test_rows_seeds_and_scores(tmp_path: Path) -> None:
     write_run(tmp_path, "refine=false views=4", 0, HALF)  # no row of the paper
     study, remarks = open_study([tmp_path])
     assert remarks == []
-    assert study.rows == ["Ours: w/o TRSF, avg", "Ours: w/o spatial ref., 4 images", "Ours"]
+    assert study.rows == ["Ours: w/o TRSF, avg", "Ours", "Ours: w/o spatial ref., 4 images"]
     assert study.missing == [row for row in ROWS if row not in ("Ours", "Ours: w/o TRSF, avg")]
     assert study.scenes == [*SCENES]
     assert study.seeds() == study.seeds("Ours") == [0, 1]

@@ -117,7 +117,9 @@ class ViewStore:
         new = torch.full_like(self.frames[rows, :1], frame)
         frames = torch.cat([self.frames[rows], new], 1).long()
         if logits is not None:
-            logits = torch.cat([self.logits[rows], self.rounded(logits)[:, None]], 1)
+            both = self.logits.new_empty(len(rows), self.views + 1, self.heads)
+            both[:, :-1], both[:, -1] = self.logits[rows], self.rounded(logits)
+            logits = both  # no cat: under a bfloat16 autocast it takes no half precision
         return Candidates(self.seen[rows].long(), keys, frames, logits, centers)
 
     def put(self, frame: int, rows: Tensor, slot: Tensor, logits: Tensor | None) -> None:
