@@ -101,10 +101,10 @@ def figures(s: Statistics) -> Iterator[tuple[str, str]]:
 def lines(report: Report, path: Path) -> Iterator[str]:
     """What was found beside the tables, and the verdict."""
     yield f"{report.matches} matches in {report.pairs} pairs of images"
-    if report.found is not None:
+    if report.found is not None and report.found.focal is not None:
         best, low, high = report.found.focal
         yield (
-            f"focal length: {best:.3f} times that above fits best ({low:.3f} to {high:.3f}); "
+            f"focal length: {best:.3f} times the given one fits best ({low:.3f} to {high:.3f}); "
             f"any cameras would leave {report.floor:.2f} pixels"
         )
     if report.scale is not None and np.isfinite(report.scale.seen):

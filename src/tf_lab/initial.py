@@ -72,7 +72,10 @@ def initialise(network: Network, path: Path) -> None:
         theirs, state = other.config, other.state_dict()
     misfit = _misfit(_plain(asdict(theirs)), _plain(asdict(network.config)))
     if misfit:
-        raise TFLabError(f"init={path}: of another network: {misfit} (see conf/model, conf/row)")
+        raise TFLabError(
+            f"init={path}: of another network: {misfit}; give the settings that it was trained "
+            "with, such as model.heads=1 (conf/model, conf/inputs, conf/row)"
+        )
     if state is not None:
         network.load_state_dict(state)
 

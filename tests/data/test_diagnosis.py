@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from injections import INJECTIONS, Frames, opened
+from injections import INJECTIONS, Frames, opened, source_of
 from layouts import LAYOUTS
 from tf_lab.data.diagnosis import diagnose, quick_warning
 from tf_lab.data.diagnosis.evidence import Evidence
@@ -26,6 +26,7 @@ from tf_lab.data.readers.source import (
 )
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame
+from tf_lab.errors import TFLabError
 
 DOWN = ReadSettings(gravity=(0.0, 0.0, -1.0))
 SIZE, FOCAL = (160, 120), 130.0
@@ -119,10 +120,49 @@ def test_what_epipolar_geometry_cannot_tell_depth_does(
 # --- rendered captures ----------------------------------------------------------------------------
 
 
+def test_poses_of_nothing_are_wrong_and_no_setting_is_said_to_mend_them() -> None:
+    """In a random order some axes give smaller errors than others, and mend nothing."""
+    frames = list(room())
+    order = np.random.default_rng(1).permutation(len(frames))
+    mixed = [
+        replace(f, world_T_cam=frames[i].world_T_cam) for f, i in zip(frames, order, strict=True)
+    ]
+    report = checked(mixed)
+    assert (report.verdict, report.settings) == (WRONG, [])
+    assert "do not fit" in report.findings[0]
+    assert report.found is not None and report.found.focal is None
+
+
+def test_poses_without_a_unit_are_asked_for_one() -> None:
+    def read(settings: ReadSettings) -> Report:
+        source = source_of([replace(f, depth=None) for f in room()])
+        source = replace(source, given=replace(source.given, metric=False))
+        capture = as_read(source, Path("made up"), settings, strict=False)
+        return diagnose(capture, settings, Path("made up"))[0]
+
+    report = read(DOWN)
+    assert report.verdict == DOUBTFUL
+    assert "give scale=METRES_PER_UNIT" in report.findings[0]
+    assert read(replace(DOWN, scale=1.0)).verdict == FINE
+
+
+def test_depth_that_cannot_be_read_is_told() -> None:
+    def damaged() -> np.ndarray:
+        raise TFLabError("depth.png: of 8 bits")
+
+    source = source_of(list(room()))
+    frames = [replace(f, depth=damaged) for f in source.given.frames]
+    source = replace(source, given=replace(source.given, frames=frames))
+    capture = as_read(source, Path("made up"), DOWN, strict=False)
+    report = diagnose(capture, DOWN, Path("made up"))[0]
+    assert report.verdict == DOUBTFUL
+    assert report.findings == ["depth maps are left out: depth.png: of 8 bits"]
+
+
 def test_a_right_capture_is_fine() -> None:
     report = checked(list(room()))
     assert (report.verdict, report.settings, report.findings) == (FINE, [], [])
-    assert report.found is not None
+    assert report.found is not None and report.found.focal is not None
     assert report.found.given.error < 0.3
     assert report.found.focal[0] == pytest.approx(1, abs=0.02)
     assert report.scale is not None

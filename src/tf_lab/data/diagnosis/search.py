@@ -33,6 +33,7 @@ IN_FRONT = 0.6  # of the points with parallax, at least
 DRAWS = 500
 SURE = 0.01  # at most so many draws may speak against it
 STEPS = 3  # changes at once, at most
+USABLE = 0.01  # error of usable poses, in image widths
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,15 @@ class Found:
         best: the way to read it that is beyond doubt better, or as it was read.
         tried: all single changes and the steps to the best, by ascending error.
         same: settings of other changes that the images cannot tell from what was read.
-        focal: the best focal length, as a factor on that of ``best``, with its interval (98 %).
+        focal: the best focal length, as a factor on that of ``given``, with its interval (98 %);
+            None: nothing explains the images well enough to say.
     """
 
     given: Candidate
     best: Candidate
     tried: list[Candidate]
     same: list[str]
-    focal: tuple[float, float, float]
+    focal: tuple[float, float, float] | None
 
 
 def search(evidence: Evidence, thorough: bool = True) -> Found:
@@ -103,7 +105,7 @@ def search(evidence: Evidence, thorough: bool = True) -> Found:
         if not step:
             tried += options
         winner = _winner(evidence, best, options, CLEARLY if step else SOMEWHAT)
-        if winner is None and not step and thorough and not _explained(evidence, given):
+        if winner is None and not step and thorough and not explained(evidence, given):
             options = [_candidate(evidence, a) for a in _two_changes(evidence, settings)]
             winner = _winner(evidence, best, options)
         if winner is None:
@@ -117,7 +119,17 @@ def search(evidence: Evidence, thorough: bool = True) -> Found:
         if not _small_change(c) and not _better(evidence, given, c, 1.25) and c.possible
     ]
     tried.sort(key=lambda candidate: candidate.error)
-    return Found(given, best, tried, same, _best_focal(evidence, best)[1])
+    return Found(given, best, tried, same, _focal_of_given(evidence, given, best))
+
+
+def _focal_of_given(
+    evidence: Evidence, given: Candidate, best: Candidate
+) -> tuple[float, float, float] | None:
+    if not explained(evidence, best):
+        return None
+    changed = best.settings.focal_scale / given.settings.focal_scale
+    factor, low, high = _best_focal(evidence, best)[1]
+    return changed * factor, changed * min(low, factor), changed * max(high, factor)
 
 
 def _alternatives(evidence: Evidence, settings: ReadSettings) -> Iterable[Alternative]:
@@ -180,9 +192,14 @@ def _winner(
     return next(o for o in better if _mean(evidence, o) < least + np.log(1.1))
 
 
-def _explained(evidence: Evidence, candidate: Candidate) -> bool:
-    """Whether the errors are as small as those of usable poses: 1 % of the image's width."""
-    return candidate.possible and candidate.error < 0.01 * evidence.capture.size[0]
+def usable(evidence: Evidence) -> float:
+    """The error, pixels, that usable poses stay under: 1 % of the image's width."""
+    return USABLE * evidence.capture.size[0]
+
+
+def explained(evidence: Evidence, candidate: Candidate) -> bool:
+    """Whether the errors are as small as those of usable poses."""
+    return candidate.possible and candidate.error < usable(evidence)
 
 
 def _mean(evidence: Evidence, candidate: Candidate) -> float:

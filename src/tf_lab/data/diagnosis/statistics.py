@@ -40,6 +40,7 @@ class Statistics:
         blurred: share of images below `BLURRED`.
         exposure: median of the images' mean grey values, 0 to 255.
         ill_exposed: share of images that are nearly black or white.
+        unread_depth: why, if most of the depth maps looked at cannot be read; empty: they can.
         overlap: how many keyframes have the median matched point in view; NaN: no such point.
     """
 
@@ -57,6 +58,7 @@ class Statistics:
     blurred: float
     exposure: float
     ill_exposed: float
+    unread_depth: str
     overlap: float
 
 
@@ -86,6 +88,7 @@ def describe(album: Album, evidence: Evidence, best: ReadSettings, path: Path) -
         blurred=float((blur < BLURRED).mean()),
         exposure=float(np.median(grey)),
         ill_exposed=float(((grey < DARK) | (grey > BRIGHT)).mean()),
+        unread_depth=_unread_depth(capture),
         overlap=_overlap(evidence, best, keyframes),
     )
 
@@ -106,13 +109,29 @@ def _how_up(capture: Capture, settings: ReadSettings, path: Path) -> str:
     return "the layout" if given_of(capture).down is not None else "estimated from the poses"
 
 
+def _some_frames(capture: Capture) -> list[int]:
+    """Whose depth is looked at."""
+    count = len(capture.frames)
+    return sorted({int(i) for i in np.linspace(0, count - 1, DEPTH_FRAMES)})
+
+
+def _unread_depth(capture: Capture) -> str:
+    """Why most of the depth maps looked at cannot be read; empty: they can, or there are none."""
+    frames, reasons = _some_frames(capture), []
+    for index in frames:
+        try:
+            capture.depth(index)
+        except TFLabError as error:
+            reasons.append(str(error))
+    return reasons[0] if len(reasons) > len(frames) / 2 else ""
+
+
 def _height(capture: Capture) -> float:
     """Of the median camera above what is lowest in the depth maps, metres."""
     lowest = []
-    count = len(capture.frames)
-    for index in np.unique(np.linspace(0, count - 1, DEPTH_FRAMES).astype(int)):
+    for index in _some_frames(capture):
         try:
-            depth = capture.depth(int(index))
+            depth = capture.depth(index)
         except TFLabError:
             continue
         if depth is None or not (depth > 0).any():

@@ -9,13 +9,13 @@ import numpy as np
 
 from tf_lab.data.diagnosis.evidence import Evidence
 from tf_lab.data.diagnosis.scale import Scale
-from tf_lab.data.diagnosis.search import Found
+from tf_lab.data.diagnosis.search import Found, usable
 from tf_lab.data.diagnosis.sensors import Sensors
 from tf_lab.data.diagnosis.statistics import Statistics
 
 FINE, DOUBTFUL, WRONG, UNKNOWN = "fine", "doubtful", "wrong", "too poor to tell"
 LEAST_PAIRS, LEAST_MATCHES = 5, 120
-USABLE = 0.01  # error of usable poses, in image widths
+HOPELESS = 3  # times the error of usable poses: beyond doubt not those of the images
 FOCAL = 0.06  # how far (logarithm) depth may put colour's focal length from what is stated
 
 
@@ -60,7 +60,7 @@ class Report:
                 {"setting": c.setting, "error_pixels": c.error, "in_front": c.in_front}
                 for c in tried
             ]
-            plain["focal_factor"] = list(self.found.focal)
+            plain["focal_factor"] = self.found.focal and list(self.found.focal)
         for name in ("scale", "sensors", "statistics"):
             value = getattr(self, name)
             plain[name] = None if value is None else asdict(value)
@@ -116,6 +116,12 @@ def judge(
     _judge_cameras(judgement, evidence, found, sensors)
     if scale is not None:
         _judge_scale(judgement, scale)
+    if not (evidence.given.metric or evidence.settings.scale or (scale and scale.setting)):
+        judgement.add(
+            DOUBTFUL,
+            "the poses have no unit (structure from motion gives none), what is metres above is "
+            "theirs: give scale=METRES_PER_UNIT",
+        )
     if sensors is not None:
         _judge_sensors(judgement, sensors, found)
     if statistics is not None:
@@ -138,18 +144,23 @@ def _judge_cameras(
     judgement: _Judgement, evidence: Evidence, found: Found, sensors: Sensors | None
 ) -> None:
     given, best = found.given, found.best
-    limit = USABLE * evidence.capture.size[0]
-    if best is not given:
+    if not evidence.centred and best is given:
+        judgement.add(
+            WRONG, "the principal point lies outside of the images: the intrinsics are of others"
+        )
+    elif best.error > usable(evidence):  # what makes it somewhat smaller mends nothing
+        judgement.add(
+            WRONG if best.error > HOPELESS * usable(evidence) else DOUBTFUL,
+            f"poses and images do not fit, nor does any usual mistake explain it: the error is "
+            f"{best.error:.1f} pixels, of usable poses under {usable(evidence):.1f}",
+        )
+    elif best is not given:
         alone = sensors is not None and sensors.alone < sensors.shared
         judgement.add(
             WRONG,
             f"{best.text}: the error falls from {given.error:.2f} to {best.error:.2f} pixels",
             *best.setting.split(),
             "depth_camera=as_given" if alone else "",
-        )
-    elif not evidence.centred:
-        judgement.add(
-            WRONG, "the principal point lies outside of the images: the intrinsics are of others"
         )
     elif not given.possible:
         judgement.add(
@@ -158,12 +169,6 @@ def _judge_cameras(
     elif found.same:
         judgement.add(
             UNKNOWN, f"the camera moves too little: {', '.join(found.same[:3])} fit as well"
-        )
-    if best.error > limit:
-        judgement.add(
-            DOUBTFUL,
-            f"poses and images do not fit: the error is {best.error:.1f} pixels, of usable poses "
-            f"under {limit:.1f}",
         )
 
 
@@ -196,5 +201,7 @@ def _judge_sensors(judgement: _Judgement, sensors: Sensors, found: Found) -> Non
 
 
 def _judge_images(judgement: _Judgement, statistics: Statistics) -> None:
+    if statistics.unread_depth:
+        judgement.add(DOUBTFUL, f"depth maps are left out: {statistics.unread_depth}")
     if statistics.ill_exposed > 0.5:
         judgement.add(DOUBTFUL, f"{statistics.ill_exposed:.0%} of the images are black or white")
