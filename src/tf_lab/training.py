@@ -158,7 +158,7 @@ def kept_by(batch: ChunkBatch) -> BatchSelection | None:
     """What chooses the views that voxels keep in a step; None: they keep all."""
     if not batch.keep:
         return None
-    return BatchSelection(make_policy(batch.rule, batch.draw), batch.keep)
+    return BatchSelection(make_policy(batch.rule, 0), batch.keep, batch.draws)
 
 
 SHOWN = 0.5  # seconds between looks at the losses, for which a GPU has to be waited for

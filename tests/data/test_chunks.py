@@ -258,7 +258,7 @@ def test_processes_share_the_chunks_of_a_step(box_scene: Path, views: tuple[int,
         }
         assert same(replace(one, **joined), one)
         assert {(part.keep, part.rule) for part in two} == {(one.keep, one.rule)}
-        assert two[0].draw != two[1].draw  # chance is not shared
+        assert len(set(one.draws.tolist())) == 4  # chance is the chunk's own, whoever has it
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -282,7 +282,7 @@ def test_the_number_of_views_varies_from_step_to_step(box_scene: Path) -> None:
     assert {b.images.shape[1] for b in batches} == {4}
     assert {b.keep for b in batches} == {2, 3}
     assert {b.rule for b in batches} == {"attention", "random"}
-    assert len({b.draw for b in batches}) == 12
+    assert len({int(b.draws) for b in batches}) == 12
 
 
 def test_fewer_images_than_a_record_holds(box_scene: Path) -> None:
@@ -339,9 +339,9 @@ def test_a_damaged_image_is_told_with_its_scene(box_scene: Path, tmp_path: Path)
 def test_moving_a_batch(batch: ChunkBatch) -> None:
     moved = batch.to(torch.device("meta"))
     tensors = [v for v in vars(moved).values() if isinstance(v, Tensor)]
-    assert len(tensors) == 7
+    assert len(tensors) == 8
     assert {v.device.type for v in tensors} == {"meta"}
-    assert (moved.keep, moved.rule, moved.draw) == (batch.keep, batch.rule, batch.draw)
+    assert (moved.keep, moved.rule) == (batch.keep, batch.rule)
     assert moved.images.dtype == torch.uint8
 
 

@@ -70,9 +70,11 @@ def test_choosing_and_comparing_views_in_training_waits_for_nothing(name: str) -
     views = [torch.randn(30, 9, 8), torch.rand(30, 9), valid, rays]
     with PretendedGpu() as gpu:
         logits, *parts = (x.to(CUDA) for x in (torch.randn(30, 9, 2), *views))
+        keys = torch.zeros(30, 3, dtype=torch.int64).to(CUDA)
+        draws = torch.ones(1, dtype=torch.int64).to(CUDA)
         agreement = on_gpu(Agreement(8, 12))
         gpu.waits.clear()  # what follows is on the GPU
-        kept, _ = BatchSelection(make_policy(name, 0), 4)(logits, parts[2], parts[3])
+        kept, _ = BatchSelection(make_policy(name, 0), 4, draws)(logits, parts[2], parts[3], keys)
         told = agreement(Measurements(*parts))
         assert kept.device.type == told.device.type == "cuda"
         assert not gpu.waits

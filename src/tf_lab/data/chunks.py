@@ -6,6 +6,7 @@ records what a training step sees, wherever they come from.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -104,9 +105,9 @@ class ChunkBatch:
         fine_target: bool [B, 15, 15, 15], surface within 10 cm.
         points: [B, P, 3], metres.
         sdf: [B, P] signed distance in metres, NaN where unknown.
+        draws: int64 [B], of each chunk what makes its random choices its own.
         keep: K_t, views a voxel keeps; 0: all images, valid or not.
         rule: the policy of view selection that chooses them.
-        draw: seed of what is random in it.
     """
 
     images: Tensor
@@ -116,9 +117,9 @@ class ChunkBatch:
     fine_target: Tensor
     points: Tensor
     sdf: Tensor
+    draws: Tensor
     keep: int
     rule: str
-    draw: int
 
     def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
         """The batch on another device (Lightning calls this)."""
@@ -153,9 +154,9 @@ def make_batch(
     """The batch of one process at a step, with what is chosen anew at every step.
 
     How many views are kept and by which rule is a function of seed and step, the same in all
-    processes: none waits for another that keeps more. Which images are used, of records that hold
-    more than ``settings.images``, and the seed of random choices are functions of seed, rank and
-    step.
+    processes: none waits for another that keeps more. What its random choices are is a function of
+    seed, step and the chunk, whichever process has it. Which images are used, of records that hold
+    more than ``settings.images``, is a function of seed, rank and step.
 
     Raises:
         TFLabError: an image is damaged, or they are of several sizes.
@@ -181,10 +182,16 @@ def make_batch(
         fine_target=torch.stack([r.fine_target for r in records]),
         points=torch.stack([r.points for r in records]),
         sdf=torch.stack([r.sdf for r in records]),
+        draws=torch.tensor([_chance(r, seed, step) for r in records]),
         keep=keep,
         rule=rule,
-        draw=int(rng.integers(2**62)),
     )
+
+
+def _chance(record: ChunkRecord, seed: int, step: int) -> int:
+    """A number by which the random choices of a step differ from chunk to chunk."""
+    chunk = zlib.crc32(record.points.numpy().tobytes())
+    return int(np.random.default_rng([seed, step, chunk, 3]).integers(2**62))
 
 
 def _draw(weights: Mapping[str, float], rng: np.random.Generator) -> str:

@@ -68,7 +68,7 @@ class KeepViews(Protocol):
     needs_logits: bool
 
     def __call__(
-        self, logits: Tensor | None, valid: Tensor, centers: Tensor
+        self, logits: Tensor | None, valid: Tensor, centers: Tensor, keys: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Views int64 [P, K_t], and which of these slots are filled, bool [P, K_t].
 
@@ -76,6 +76,7 @@ class KeepViews(Protocol):
             logits: [P, V, H] of selection; None if it needs none, or nothing ranks views.
             valid: bool [P, V], which views see the voxel.
             centers: [P, V, 3], the cameras' centres relative to the voxel, metres.
+            keys: int64 [P, 3], which voxels they are: chunk of the batch, voxel of it, level.
         """
         ...
 
@@ -184,22 +185,31 @@ class Network(nn.Module):
             maps = self.encode(images.flatten(0, 1))
         depth_range = (self.config.near, self.config.far)
 
-        def fuse(level: str, points: Tensor, where: Tensor) -> tuple[Tensor, Tensor]:
-            """Fused features of the points [B, P, 3] ``where`` [B, P], and whether a view sees."""
+        def fuse(
+            level: str, points: Tensor, where: Tensor, voxels: Tensor
+        ) -> tuple[Tensor, Tensor]:
+            """Fused features of the points [B, P, 3] ``where`` [B, P], and whether a view sees.
+
+            ``voxels`` [B, P] are their numbers in the chunk.
+            """
             each = points.unsqueeze(1).expand(-1, V, -1, -1).flatten(0, 1)
             cameras = (K.flatten(0, 1), world_T_cam.flatten(0, 1))
             parts = measure(maps[level], each, *cameras, size, depth_range)
             chosen = (m.unflatten(0, (B, V)).transpose(1, 2)[where] for m in parts)
             measured = Measurements(*chosen)
             centers = (world_T_cam[:, None, :, :3, 3] - points.unsqueeze(2))[where]
-            kept, slots = self.keep_views(level, measured, centers, keep)
+            chunk = torch.arange(B, device=K.device)[:, None].expand_as(voxels)
+            named = [chunk, voxels, torch.full_like(voxels, LEVELS.index(level))]
+            keys = torch.stack(named, dim=-1)[where]
+            kept, slots = self.keep_views(level, measured, centers, keys, keep)
             return self.fuse(level, self.embed_kept(level, kept), slots)[0], measured.valid.any(1)
 
         def seen(where: Tensor) -> Tensor:
             return self.visible(where.unsqueeze(-3), K, world_T_cam, size).any(1)
 
         centers = coarse_grid.centers().to(K.device).flatten(0, 2).expand(B, -1, -1)
-        fused, some = fuse("coarse", centers, centers.new_ones(centers.shape[:2], dtype=torch.bool))
+        voxels = torch.arange(centers.shape[1], device=K.device).expand(B, -1)
+        fused, some = fuse("coarse", centers, torch.ones_like(voxels, dtype=torch.bool), voxels)
         coarse_seen = some.view(B, *coarse_grid.shape)
         volume = fused.view(B, *coarse_grid.shape, -1) * coarse_seen.unsqueeze(-1)
         coarse, coarse_logits = self.refinement.coarse(volume.permute(0, 4, 1, 2, 3), coarse_seen)
@@ -210,7 +220,7 @@ class Network(nn.Module):
         near = self._near(coarse_logits, coarse_seen, coarse_target)[(slice(None), *inner)]
         active = active & upsample(near, first_axis=1)
         order, where = _first(active.flatten(1))
-        fused, _ = fuse("fine", centers[order], where)
+        fused, _ = fuse("fine", centers[order], where, order)
         volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
         volume[active] = fused
         fine, fine_logits = self.refinement.fine(
@@ -233,7 +243,12 @@ class Network(nn.Module):
         return seen & (near if target is None else near | target)
 
     def keep_views(
-        self, level: str, measured: Measurements, centers: Tensor, keep: KeepViews | None
+        self,
+        level: str,
+        measured: Measurements,
+        centers: Tensor,
+        keys: Tensor,
+        keep: KeepViews | None,
     ) -> tuple[Measurements, Tensor | None]:
         """The measurements that voxels keep in training: what the view store does at test time.
 
@@ -241,6 +256,7 @@ class Network(nn.Module):
             level: "coarse" or "fine".
             measured: of points in views, [P, V, ...].
             centers: [P, V, 3], see `KeepViews`.
+            keys: int64 [P, 3], likewise.
             keep: chooses; None keeps everything.
 
         Returns:
@@ -252,7 +268,7 @@ class Network(nn.Module):
             logits = None
             if keep.needs_logits:
                 logits = self.selection_logits(level, self.embed(level, measured))
-            views, slots = keep(logits, measured.valid, centers)
+            views, slots = keep(logits, measured.valid, centers, keys)
         index = views.unsqueeze(-1)
         kept = Measurements(
             torch.take_along_dim(measured.phi, index, dim=1),

@@ -16,14 +16,15 @@ class BatchSelection:
     Args:
         policy: decides what stays; random takes its place if it needs logits and there are none.
         views: K, how many views a voxel keeps.
+        draws: int64 [B], of each chunk what makes its random choices its own; None: its number.
     """
 
-    def __init__(self, policy: SelectionPolicy, views: int) -> None:
-        self.policy, self.views = policy, views
+    def __init__(self, policy: SelectionPolicy, views: int, draws: Tensor | None = None) -> None:
+        self.policy, self.views, self.draws = policy, views, draws
         self.needs_logits = policy.needs_logits
 
     def __call__(
-        self, logits: Tensor | None, valid: Tensor, centers: Tensor
+        self, logits: Tensor | None, valid: Tensor, centers: Tensor, keys: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The views that voxels keep.
 
@@ -31,6 +32,7 @@ class BatchSelection:
             logits: [P, V, H] selection logits; None if the policy needs none, or there are none.
             valid: bool [P, V], which views see the voxel.
             centers: [P, V, 3], the cameras' centres relative to the voxel, metres.
+            keys: int64 [P, 3], which voxels they are; the first number is the chunk's, of B.
 
         Returns:
             Views int64 [P, K] (any where a slot is empty) and which slots are filled [P, K].
@@ -41,7 +43,8 @@ class BatchSelection:
         P, V = valid.shape
         k = min(self.views, V)
         order = torch.arange(V, device=valid.device)
-        keys = torch.arange(P, device=valid.device)[:, None].expand(P, 3)
+        if self.draws is not None:
+            keys = torch.cat([self.draws[keys[:, :1]], keys[:, 1:]], dim=1)
         seen = valid.cumsum(1) - valid.long()  # by views before
         # slot k, which nobody reads, takes what is not kept
         slot = torch.where(valid & (seen < k), seen, k)
