@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 from hydra import compose, initialize_config_dir
 
-from tf_lab.commands import conf_dir, plain
-from tf_lab.study.runs import run_directory
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.experiments.identity import run_directory
 
 # The rows of the paper's tables, as one asks for them.
 ROWS = {

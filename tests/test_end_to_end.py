@@ -17,9 +17,9 @@ from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
-from tf_lab.network.losses import losses
 from tf_lab.network.network import Network
-from tf_lab.scoring import median_views
+from tf_lab.online.captures import median_views
+from tf_lab.training.losses import losses
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 from made_up_runs import ROWS, write_study
-from tf_lab.study.paper import SCORES
+from tf_lab.reporting.paper import SCORES
 
 NOTEBOOK = Path(__file__).resolve().parents[1] / "notebooks" / "results.ipynb"
 PICTURES = NOTEBOOK.parents[1] / "results" / "reference" / "pictures"

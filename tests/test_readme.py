@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from hydra import compose, initialize_config_dir
 
-from tf_lab.commands import conf_dir
+from tf_lab.cli.command import conf_dir
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]

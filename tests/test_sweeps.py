@@ -9,8 +9,8 @@ from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from tf_lab.commands import conf_dir, plain
-from tf_lab.study.runs import row_label, run_directory, training_directory
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.experiments.identity import row_label, run_directory, training_directory
 
 SWEEPS = Path(conf_dir()) / "sweep"
 # the rows of the paper's tables 1 and 2 that are ours, by the part of the label that is not

@@ -14,11 +14,11 @@ from omegaconf import DictConfig
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.report import draw, tables
 from tf_lab.benchmarks.suite import run_all
-from tf_lab.commands import command, device_of, plain
-from tf_lab.configuration import make_network, ready, reconstruction_settings
+from tf_lab.cli.command import command, device_of, plain
+from tf_lab.config.build import make_network, ready, reconstruction_settings
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_path, check_folder, write_json
-from tf_lab.provenance import provenance, without_places
+from tf_lab.experiments.provenance import provenance, without_places
+from tf_lab.support.files import atomic_path, check_folder, write_json
 
 
 @command("benchmark", unused=("training", "optimizer"))

@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
 
-from tf_lab.commands import command, plain
+from tf_lab.cli.command import command, plain
 from tf_lab.data.diagnosis import diagnose
 from tf_lab.data.diagnosis.picture import draw
 from tf_lab.data.diagnosis.search import Candidate
@@ -26,7 +26,7 @@ from tf_lab.data.diagnosis.verdict import FINE, Report
 from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.errors import TFLabError
-from tf_lab.files import write_json
+from tf_lab.support.files import write_json
 
 SHOWN = 6  # alternatives in the table
 

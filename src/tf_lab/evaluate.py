@@ -12,10 +12,10 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 
-from tf_lab.commands import command
+from tf_lab.cli.command import command
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate, format_table
-from tf_lab.files import check_file, write_json
+from tf_lab.support.files import check_file, write_json
 
 
 @command("evaluate")

@@ -12,12 +12,8 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
-from tf_lab.commands import command, plain
-from tf_lab.data.captures import prepare_captures, summarise
-from tf_lab.data.scene import Scene
-from tf_lab.data.shards import write_shards
-from tf_lab.data.visibility import scene_visibility
-from tf_lab.datasets import (
+from tf_lab.cli.command import command, plain
+from tf_lab.config.datasets import (
     capture_sources,
     embedded_set,
     prepare_data,
@@ -25,12 +21,16 @@ from tf_lab.datasets import (
     scenes_root,
     training_sampler,
 )
+from tf_lab.data.captures import prepare_captures, summarise
+from tf_lab.data.scene import Scene
+from tf_lab.data.shards import write_shards
+from tf_lab.data.visibility import scene_visibility
 from tf_lab.errors import TFLabError
-from tf_lab.files import check_folder
-from tf_lab.meshes import read_mesh
-from tf_lab.pictures import compare
-from tf_lab.progress import progress_bar
-from tf_lab.provenance import provenance
+from tf_lab.evaluation.pictures import compare
+from tf_lab.experiments.provenance import provenance
+from tf_lab.meshes.files import read_mesh
+from tf_lab.support.files import check_folder
+from tf_lab.support.progress import progress_bar
 
 
 @command("prepare", unused=("encoder", "optimizer"), goes_on=True)

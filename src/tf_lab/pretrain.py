@@ -22,21 +22,21 @@ from safetensors.torch import save_file
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from tf_lab.commands import command, plain
-from tf_lab.configuration import encoder_settings, initialise_encoder
+from tf_lab.cli.command import command, plain
+from tf_lab.config.build import encoder_settings, initialise_encoder
+from tf_lab.config.datasets import prepare_data
 from tf_lab.data.capture import Capture
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
 from tf_lab.data.photometric import PhotometricSettings
 from tf_lab.data.readers import open_capture
 from tf_lab.data.resize import Resized
-from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_path, check_file
+from tf_lab.experiments.identity import portable
+from tf_lab.experiments.provenance import provenance, without_places
 from tf_lab.network.encoders import Encoder, make_encoder
-from tf_lab.network.matching import matching_loss
-from tf_lab.provenance import provenance, without_places
-from tf_lab.study.runs import portable
-from tf_lab.training import TrainingProgress
+from tf_lab.support.files import atomic_path, check_file
+from tf_lab.training.matching import matching_loss
+from tf_lab.training.module import TrainingProgress
 
 VALIDATION = 20  # batches
 CANDIDATES = 200  # points of the second image, among which one of the first is found again

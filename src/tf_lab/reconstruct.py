@@ -18,9 +18,9 @@ import numpy as np
 import trimesh
 from omegaconf import DictConfig
 
-from tf_lab.checkpoint import load_network, shipped_checkpoint
-from tf_lab.commands import command, device_of, plain
-from tf_lab.configuration import ready, test_settings
+from tf_lab.cli.command import command, device_of, plain
+from tf_lab.config.build import ready, test_settings
+from tf_lab.config.datasets import prepare_data
 from tf_lab.data.capture import Capture
 from tf_lab.data.diagnosis import quick_warning
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
@@ -28,15 +28,15 @@ from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
-from tf_lab.datasets import prepare_data
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene, format_table
-from tf_lab.files import atomic_path, check_file
-from tf_lab.meshes import read_mesh, write_mesh
+from tf_lab.meshes.files import read_mesh, write_mesh
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.pictures import compare
-from tf_lab.progress import progress_bar
-from tf_lab.scoring import Reconstruction, TestSettings, reconstruct
+from tf_lab.online.captures import Reconstruction, TestSettings, reconstruct
+from tf_lab.support.files import atomic_path, check_file
+from tf_lab.support.progress import progress_bar
 
 
 @command("reconstruct")

@@ -10,18 +10,18 @@ from pathlib import Path
 import trimesh
 from omegaconf import DictConfig
 
-from tf_lab.commands import command, plain
-from tf_lab.datasets import scene_directory
-from tf_lab.files import check_folder
-from tf_lab.meshes import read_mesh
-from tf_lab.progress import progress_bar
-from tf_lab.study.formats import markdown
-from tf_lab.study.gallery import draw_scene, scene_runs
-from tf_lab.study.orderings import summary
-from tf_lab.study.report import describe, write_report
-from tf_lab.study.results import Run, keep_run
-from tf_lab.study.studies import Study, open_study
-from tf_lab.study.tables import short_table
+from tf_lab.cli.command import command, plain
+from tf_lab.config.datasets import scene_directory
+from tf_lab.meshes.files import read_mesh
+from tf_lab.reporting.formats import markdown
+from tf_lab.reporting.gallery import draw_scene, scene_runs
+from tf_lab.reporting.orderings import summary
+from tf_lab.reporting.report import describe, write_report
+from tf_lab.reporting.results import Run, keep_run
+from tf_lab.reporting.studies import Study, open_study
+from tf_lab.reporting.tables import short_table
+from tf_lab.support.files import check_folder
+from tf_lab.support.progress import progress_bar
 
 
 @command("report")

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import yaml
 
+from tf_lab.cli.text_settings import expand
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import format_table
-from tf_lab.files import remove_directory
-from tf_lab.study.inventory import (
+from tf_lab.evaluation.testing import read_metrics
+from tf_lab.experiments.inventory import (
     RUNS,
     TRAININGS,
     Entry,
@@ -28,9 +29,8 @@ from tf_lab.study.inventory import (
     find_trainings,
     with_dependents,
 )
-from tf_lab.study.reuse import commits_of
-from tf_lab.testing import read_metrics
-from tf_lab.text_settings import expand
+from tf_lab.experiments.reuse import commits_of
+from tf_lab.support.files import remove_directory
 
 
 def main() -> None:

@@ -23,29 +23,29 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from tf_lab.checkpoint import load_network, save_network
-from tf_lab.commands import command, device_of, in_sweep, plain
-from tf_lab.configuration import (
+from tf_lab.cli.command import command, device_of, in_sweep, plain
+from tf_lab.config.build import (
     build_network,
     make_network,
     optimizer_settings,
     ready,
     test_settings,
 )
-from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.datasets import has_scenes, identified, prepare_data, training_chunks
+from tf_lab.config.datasets import has_scenes, identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.pictures import loss_curve
 from tf_lab.evaluation.protocol import format_table
-from tf_lab.files import atomic_path, held, remove_abandoned, write_json
-from tf_lab.initial import check_state, initial_state
-from tf_lab.jobs import check_launcher, end_with_parent, run_job
-from tf_lab.loggers import log_scores, make_loggers
-from tf_lab.pictures import loss_curve
-from tf_lab.provenance import provenance
-from tf_lab.study.reuse import earlier_state, say_reused
-from tf_lab.study.runs import portable, row_label, run_directory, training_directory
-from tf_lab.testing import read_metrics, test_network
-from tf_lab.training import Sittings, Training, TrainingProgress
+from tf_lab.evaluation.testing import read_metrics, test_network
+from tf_lab.experiments.identity import portable, row_label, run_directory, training_directory
+from tf_lab.experiments.jobs import check_launcher, end_with_parent, run_job
+from tf_lab.experiments.provenance import provenance
+from tf_lab.experiments.reuse import earlier_state, say_reused
+from tf_lab.network.checkpoint import load_network, save_network
+from tf_lab.support.files import atomic_path, held, remove_abandoned, write_json
+from tf_lab.training.datamodule import SceneDataModule
+from tf_lab.training.initial import check_state, initial_state
+from tf_lab.training.loggers import log_scores, make_loggers
+from tf_lab.training.module import Sittings, Training, TrainingProgress
 
 log = logging.getLogger(__name__)
 Config = Mapping[str, Any]

@@ -16,11 +16,10 @@ import pytest
 from filelock import FileLock
 from tiny_jobs import TINY, Result, call, start, tiny_config
 
-from tf_lab import pictures
+from tf_lab.config.datasets import prepare_data
 from tf_lab.data.scene import Scene
-from tf_lab.datasets import prepare_data
-from tf_lab.evaluation import protocol
-from tf_lab.files import atomic_directory
+from tf_lab.evaluation import pictures, protocol
+from tf_lab.support.files import atomic_directory
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +47,7 @@ def surroundings(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("TF_LAB_CACHE", str(cache))
     monkeypatch.setenv("WANDB_SILENT", "true")
     small = functools.partial(pictures.compare, size=(96, 72))
-    monkeypatch.setattr("tf_lab.testing.compare", small)
+    monkeypatch.setattr("tf_lab.evaluation.testing.compare", small)
     monkeypatch.setattr("tf_lab.reconstruct.compare", small)
     monkeypatch.setattr("tf_lab.prepare.compare", small)
     monkeypatch.setattr(protocol, "SAMPLES", 20_000)

@@ -15,7 +15,7 @@ from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.meter import Meter
 from tf_lab.benchmarks.rooms import CORNER, SIZE, Rooms, walk
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.study import paper
+from tf_lab.reporting import paper
 
 SMALL = (
     "model=tiny",

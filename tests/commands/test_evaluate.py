@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from tiny_jobs import Result, call, start
 
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes.files import read_mesh
 
 METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
 PUBLISHED = ("mesh_gt.ply", "occlusion_mask.npy", "world2grid.txt")

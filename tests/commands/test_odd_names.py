@@ -9,7 +9,7 @@ from test_errors import told
 from tiny_jobs import TINY, Result, call
 
 from made_up_runs import ROWS, write_study
-from tf_lab.study.paper import SCORES
+from tf_lab.reporting.paper import SCORES
 
 ODD = ["2024_01_01", "~/my Küche, (1) #a='b' ${x}"]
 
@@ -161,7 +161,7 @@ def test_going_on_is_said_by_commands_that_do(
     def interrupt(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tf_lab.text_settings.settle", interrupt)
+    monkeypatch.setattr("tf_lab.cli.text_settings.settle", interrupt)
     result = call(command, *words)
     assert result.status == 130
     more = "; the same command goes on from here" if goes_on else ""

@@ -15,13 +15,13 @@ from tiny_jobs import TINY, Result, call
 
 from layouts import plain as plain_layout
 from layouts import room_frames, scannet
-from tf_lab.checkpoint import read_info
-from tf_lab.commands import conf_dir, plain
-from tf_lab.data import sources
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.datasets import identified, prepare_data
+from tf_lab.data import digests
 from tf_lab.data.scene import Scene
-from tf_lab.datasets import identified, prepare_data
 from tf_lab.errors import TFLabError
-from tf_lab.study.runs import run_directory, training_directory
+from tf_lab.experiments.identity import run_directory, training_directory
+from tf_lab.network.checkpoint import read_info
 
 OF_ROOMS = ("data.size", "data.val_size", "data.test_size", "data.frames", "data.test_frames")
 SETTINGS = (
@@ -142,7 +142,7 @@ def test_a_changed_picture_of_the_test_scene(
 
 def test_unchanged_captures_are_not_read(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = directories(root)
-    monkeypatch.setattr(sources, "_hash", lambda path: pytest.fail(f"{path} is read"))
+    monkeypatch.setattr(digests, "_hash", lambda path: pytest.fail(f"{path} is read"))
     assert directories(root) == first
 
 
@@ -156,7 +156,7 @@ def test_touched_captures_are_not_made_again(
     for path in root.glob("*/*.txt"):
         os.utime(path)
     assert directories(root) == first
-    monkeypatch.setattr(sources, "_hash", lambda path: pytest.fail(f"{path} is read twice"))
+    monkeypatch.setattr(digests, "_hash", lambda path: pytest.fail(f"{path} is read twice"))
     assert directories(root) == first
     assert capsys.readouterr().out == ""
 

@@ -12,8 +12,8 @@ from PIL import Image
 from tiny_jobs import TINY, call, environment, start, tiny_config
 
 from layouts import room_frames, seven_scenes
+from tf_lab.config.datasets import scene_directory
 from tf_lab.data.scene import Scene
-from tf_lab.datasets import scene_directory
 
 SETTINGS = ("data=captures", "data.width=48", "data.height=36", "data.keyframe_distance=0")
 

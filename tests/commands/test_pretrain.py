@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 from tiny_jobs import Result, call, tiny_config
 
 from lite0 import made_up
-from tf_lab.configuration import make_network
+from tf_lab.config.build import make_network
 
 ROOMS = (
     *("data.size=1", "data.val_size=1", "data.frames=24", "data.test_frames=24"),

@@ -12,8 +12,8 @@ from PIL import Image
 from tiny_jobs import Result, call
 
 from made_up_runs import ROWS, write_run, write_study
-from tf_lab.study import gallery
-from tf_lab.study.paper import SCORES
+from tf_lab.reporting import gallery
+from tf_lab.reporting.paper import SCORES
 
 FILES = {
     *("tables.md", "orderings.md", "runs.csv"),

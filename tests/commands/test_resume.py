@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import load_file
 from tiny_jobs import TINY, call, environment, tiny_config
 
-from tf_lab.study.runs import training_directory
+from tf_lab.experiments.identity import training_directory
 from tf_lab.train import AtomicSaves
 from tf_lab.train import train as train_network
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 from tiny_jobs import Result, call, tiny_config
 
-from tf_lab.files import held
-from tf_lab.provenance import commit
-from tf_lab.study.reuse import commits_of, removal, say_reused
+from tf_lab.experiments.provenance import commit
+from tf_lab.experiments.reuse import commits_of, removal, say_reused
+from tf_lab.support.files import held
 from tf_lab.train import write_config
 
 
@@ -166,7 +166,7 @@ def test_what_another_code_made_is_reused_and_said(
     reused = f"reusing the identical finished training {training}\n"
     say_reused("training", training)
     assert capsys.readouterr().out == reused
-    monkeypatch.setattr("tf_lab.study.reuse.code_version", lambda: "another")
+    monkeypatch.setattr("tf_lab.experiments.reuse.code_version", lambda: "another")
     say_reused("training", training)
     first, note = capsys.readouterr().out.splitlines()
     assert first + "\n" == reused

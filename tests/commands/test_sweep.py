@@ -16,11 +16,11 @@ from hydra.core.singleton import Singleton
 from test_train import check_run
 from tiny_jobs import TINY, Result, call, environment, start, tiny_config
 
-from tf_lab.checkpoint import read_info
-from tf_lab.commands import conf_dir, plain
-from tf_lab.files import holder
-from tf_lab.overrides import JOB
-from tf_lab.study.runs import training_directory
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.cli.overrides import JOB
+from tf_lab.experiments.identity import training_directory
+from tf_lab.network.checkpoint import read_info
+from tf_lab.support.files import holder
 
 Train = Callable[..., Result]
 SIX = ("-m", "views=4,8,16", "select=rnd,attn")
@@ -42,7 +42,7 @@ def jobs_in_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[str]]
         log.write_text(result.out + result.err)
         return result.status
 
-    monkeypatch.setattr("tf_lab.jobs._run", run)
+    monkeypatch.setattr("tf_lab.experiments.jobs._run", run)
     yield commands
 
 
@@ -112,7 +112,9 @@ def test_a_failing_job_does_not_end_the_others(train: Train) -> None:
 def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     configs, commands = [], []
     monkeypatch.setattr("tf_lab.train._finished", lambda cfg: configs.append(plain(cfg)))
-    monkeypatch.setattr("tf_lab.jobs._run", lambda command, *_: commands.append(command) or 0)
+    monkeypatch.setattr(
+        "tf_lab.experiments.jobs._run", lambda command, *_: commands.append(command) or 0
+    )
     given = ("training.views=[1,2]", "+trainer.max_time='1:2'", "output=a, b=c")
     given += ("data.root=Küche ${x} (1)", "model.name=2024_01_01")
     result = train("sweep=inputs", "seed=3,4", "row=avg,views8_rnd", *given, "hydra.verbose=false")
@@ -152,7 +154,7 @@ def test_jobs_of_a_machine_see_one_gpu_each(
         found.append(os.environ.get("CUDA_VISIBLE_DEVICES"))
         return 0
 
-    monkeypatch.setattr("tf_lab.jobs._run", run)
+    monkeypatch.setattr("tf_lab.experiments.jobs._run", run)
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)

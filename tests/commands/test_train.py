@@ -21,11 +21,11 @@ from safetensors.torch import load_file
 from tiny_jobs import TINY, Result, call, start, tiny_config
 
 import tf_lab
-from tf_lab.checkpoint import load_network
-from tf_lab.data.datamodule import SceneDataModule
-from tf_lab.online.selection import uniform
+from tf_lab.network.checkpoint import load_network
+from tf_lab.online.views.selection import uniform
 from tf_lab.train import train as train_network
-from tf_lab.training import Training
+from tf_lab.training.datamodule import SceneDataModule
+from tf_lab.training.module import Training
 
 METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
 Train = Callable[..., Result]

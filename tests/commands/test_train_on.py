@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import load_file
 from tiny_jobs import TINY, Result, call, tiny_config
 
-from tf_lab.checkpoint import load_network, read_info, save_network
-from tf_lab.study.runs import training_directory
+from tf_lab.experiments.identity import training_directory
+from tf_lab.network.checkpoint import load_network, read_info, save_network
 
 Train = Callable[..., Result]
 NO_TEST = "data.test_size=0"

@@ -9,7 +9,7 @@ import pytest
 from tiny_jobs import Result, tiny_config
 
 import small_shards
-from tf_lab.configuration import chunk_settings
+from tf_lab.config.build import chunk_settings
 from tf_lab.data.chunk_sampler import ChunkSampler
 
 

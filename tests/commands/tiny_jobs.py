@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 from hydra import compose, initialize_config_dir
 
-from tf_lab.commands import conf_dir, plain
-from tf_lab.datasets import identified
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.datasets import identified
 
 # A network and rooms so small that a training takes a second.
 TINY = (

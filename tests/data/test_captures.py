@@ -23,7 +23,7 @@ from tf_lab.data.readers import detect_format, open_capture
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes.files import read_mesh
 
 READ = ReadSettings(gravity=(0.0, 0.0, -1.0))
 SMALL = ImportSettings(width=48, height=36, keyframe_distance=0.0, read=READ)

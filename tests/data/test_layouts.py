@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from layouts import LAYOUTS, room_frames
-from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
 from tf_lab.data.scene import write_scene
 from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
+from tf_lab.online.captures import TestSettings, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.scoring import TestSettings, reconstruct
 
 every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))
 NO_DEPTH = ("colmap_text", "colmap_binary", "transforms_splits", "arkit", "video")

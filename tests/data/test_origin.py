@@ -14,7 +14,7 @@ from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame, Scene
 from tf_lab.errors import TFLabError
-from tf_lab.meshes import read_mesh, write_mesh
+from tf_lab.meshes.files import read_mesh, write_mesh
 
 UTM = np.array([688123.25, 5334567.5, 512.125])
 TURN = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # to a world whose y points down

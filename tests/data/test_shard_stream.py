@@ -20,12 +20,12 @@ import small_shards
 from small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, same, sampler
 from tf_lab.data.chunk_sampler import ChunkStream
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
-from tf_lab.data.datamodule import SceneDataModule
 from tf_lab.data.shard_stream import ShardSource, ShardStream
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
-from tf_lab.scoring import TestSettings
-from tf_lab.training import OptimizerSettings, Training
+from tf_lab.online.captures import TestSettings
+from tf_lab.training.datamodule import SceneDataModule
+from tf_lab.training.module import OptimizerSettings, Training
 
 Write = Callable[..., Path]
 

@@ -18,7 +18,7 @@ from tf_lab.evaluation.protocol import (
     samples,
     scene_names,
 )
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes.files import read_mesh
 
 PLY = """ply
 format ascii 1.0

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from network.test_network import toy
 from tf_lab.network.agreement import FEW, Agreement
-from tf_lab.network.losses import losses
 from tf_lab.network.tokens import Measurements
-from tf_lab.online.batch_selection import BatchSelection
-from tf_lab.online.selection import RandomSelection
+from tf_lab.online.views.batch import BatchSelection
+from tf_lab.online.views.selection import RandomSelection
+from tf_lab.training.losses import losses
 
 C, D, V = 16, 10, 6
 

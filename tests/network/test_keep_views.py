@@ -7,8 +7,8 @@ import torch
 
 from tf_lab.network.network import Network
 from tf_lab.network.tokens import Measurements
-from tf_lab.online.batch_selection import BatchSelection
-from tf_lab.online.selection import POLICIES, make_policy
+from tf_lab.online.views.batch import BatchSelection
+from tf_lab.online.views.selection import POLICIES, make_policy
 
 
 def example(network: Network, level: str) -> Measurements:

@@ -12,8 +12,8 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from tf_lab.checkpoint import load_network, shipped_checkpoint
 from tf_lab.errors import TFLabError
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.encoders import Encoder, ResNet, load_encoder_weights, read_state_dict
 from tf_lab.network.encoders.resnet import IMAGENET_URL
 

@@ -17,14 +17,14 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
-from tf_lab.isosurface import mesh_of
+from tf_lab.meshes.isosurface import mesh_of
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
 from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
-from tf_lab.online.selection import RandomSelection, SelectionPolicy
 from tf_lab.online.settings import DTYPES, ReconstructionSettings
-from tf_lab.online.view_store import ViewStore
+from tf_lab.online.views.selection import RandomSelection, SelectionPolicy
+from tf_lab.online.views.store import ViewStore
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it

@@ -13,11 +13,11 @@ import box_room
 from online.dense import DenseReconstructor, Volumes, frustum_grid
 from tf_lab.data.scene import Scene
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
-from tf_lab.online.blocks import offsets
-from tf_lab.online.level import Level
+from tf_lab.online.lattice.blocks import offsets
+from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import AttentionSelection, SelectionPolicy
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.views.selection import AttentionSelection, SelectionPolicy
 
 Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module
 

@@ -5,9 +5,9 @@ import torch
 from scipy.stats import chi2
 from torch import Tensor
 
-from tf_lab.online.batch_selection import BatchSelection
-from tf_lab.online.selection import POLICIES, DiverseSelection, SelectionPolicy, make_policy
-from tf_lab.online.view_store import ViewStore
+from tf_lab.online.views.batch import BatchSelection
+from tf_lab.online.views.selection import POLICIES, DiverseSelection, SelectionPolicy, make_policy
+from tf_lab.online.views.store import ViewStore
 
 P, V, H = 300, 14, 2
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from tf_lab.geometry import in_view, invert_pose, project
-from tf_lab.online.blocks import Blocks, dilate, pack, unpack
 from tf_lab.online.frustum import frustum_box, frustum_planes, voxels_in
-from tf_lab.online.table import Table
+from tf_lab.online.lattice.blocks import Blocks, dilate, pack, unpack
+from tf_lab.online.lattice.table import Table
 
 CPU = torch.device("cpu")
 point = st.tuples(*[st.integers(-1000, 1000)] * 3)

@@ -6,13 +6,13 @@ import torch
 
 from online.pretended_gpu import CUDA, PretendedGpu, on_gpu
 from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.data.scene import Scene
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.tokens import Measurements
-from tf_lab.online.batch_selection import BatchSelection
-from tf_lab.online.eager import EagerReconstructor
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import (
+from tf_lab.online.views.batch import BatchSelection
+from tf_lab.online.views.selection import (
     POLICIES,
     AttentionSelection,
     DiverseSelection,

@@ -12,10 +12,10 @@ from online.scenes import (
     settings_of,
     trained_to_match,
 )
+from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.data.scene import Scene
-from tf_lab.online.eager import EagerReconstructor
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import (
+from tf_lab.online.views.selection import (
     AttentionSelection,
     DiverseSelection,
     RandomSelection,

@@ -22,7 +22,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK
 from tf_lab.network.fusion import weights_from_logits
 from tf_lab.online import Reconstructor
-from tf_lab.online.selection import (
+from tf_lab.online.views.selection import (
     AttentionSelection,
     DiverseSelection,
     RandomSelection,

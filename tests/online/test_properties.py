@@ -15,10 +15,10 @@ from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.online import Reconstructor
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
-from tf_lab.online.view_store import ViewStore
-from tf_lab.scoring import TestSettings
-from tf_lab.scoring import reconstruct as reconstruct_capture
+from tf_lab.online.captures import TestSettings
+from tf_lab.online.captures import reconstruct as reconstruct_capture
+from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.views.store import ViewStore
 
 K = torch.tensor([[30.0, 0, 31.5], [0, 30.0, 23.5], [0, 0, 1]])
 

@@ -26,13 +26,13 @@ from online.scenes import (
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
-from tf_lab.online.selection import (
+from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.views.selection import (
     AttentionSelection,
     DiverseSelection,
     RandomSelection,
     SelectionPolicy,
 )
-from tf_lab.online.settings import ReconstructionSettings
 
 
 def clear_points(grid: VoxelGrid, scene: Scene, count: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.online.selection import (
+from tf_lab.online.views.selection import (
     AttentionSelection,
     Candidates,
     DiverseSelection,
@@ -21,7 +21,7 @@ from tf_lab.online.selection import (
     slots,
     uniform,
 )
-from tf_lab.online.view_store import ViewStore
+from tf_lab.online.views.store import ViewStore
 
 K, N = 4, 10
 

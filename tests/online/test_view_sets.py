@@ -9,8 +9,8 @@ import box_room
 from online.scenes import FRAMES, Factory, reconstruct
 from tf_lab.data.scene import Scene
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import AttentionSelection, RandomSelection
-from tf_lab.online.view_sets import view_sets
+from tf_lab.online.views.selection import AttentionSelection, RandomSelection
+from tf_lab.online.views.statistics import view_sets
 
 DEPTHS = [box_room.depth_image(box_room.poses()[i]).astype(np.float32) for i in FRAMES]
 

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from tf_lab.online.blocks import Blocks
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
-from tf_lab.online.view_store import ViewStore
+from tf_lab.online.lattice.blocks import Blocks
+from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.views.store import ViewStore
 
 VOXELS, HEADS = 9, 2
 

@@ -14,7 +14,7 @@ from tf_lab.benchmarks import measure
 from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES, BenchmarkSettings
 from tf_lab.benchmarks.meter import clock
 from tf_lab.network.network import Network
-from tf_lab.online.level import Level
+from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 
 Work = dict[str, float]  # "flops", "bytes", "ms"

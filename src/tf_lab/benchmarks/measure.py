@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.benchmarks.meter import Meter, clock
 from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.geometry import CHUNK, COARSE, FINE
 from tf_lab.network.network import Network
-from tf_lab.online.eager import EagerReconstructor
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES
-from tf_lab.study import paper
+from tf_lab.reporting import paper
 
 MIB = 2**20
 Rows = Sequence[Sequence[str]]

@@ -12,7 +12,7 @@ from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.memory import peak_memory, reset_peak
 from tf_lab.network.network import Network
 from tf_lab.online.settings import dtype_of
-from tf_lab.progress import progress_bar
+from tf_lab.support.progress import progress_bar
 
 
 def run_all(

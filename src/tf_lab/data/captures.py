@@ -25,20 +25,20 @@ from tf_lab.data import groundtruth, scene
 from tf_lab.data.capture import Capture
 from tf_lab.data.chunk_weights import Structure
 from tf_lab.data.diagnosis import quick_warning
+from tf_lab.data.digests import Sources, find_sources, read_sources
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import select_keyframes
-from tf_lab.data.preparation import run_tasks
 from tf_lab.data.readers import capture_within, detect_format, open_capture
 from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.resize import Resized
 from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene
-from tf_lab.data.sources import Sources, find_sources, read_sources
-from tf_lab.data.text import read_lines
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_directory, held, remove_abandoned, write_json
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes.files import read_mesh
+from tf_lab.support.files import atomic_directory, held, remove_abandoned, write_json
+from tf_lab.support.tasks import run_tasks
+from tf_lab.support.text import read_lines
 
 logger = logging.getLogger(__name__)
 VERSION = 2  # of what is made of a capture; a reader that gives others raises it

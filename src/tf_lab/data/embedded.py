@@ -12,9 +12,9 @@ from pathlib import Path
 from tf_lab.data import flats, groundtruth, rooms, scene
 from tf_lab.data.flats import generate_flat
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
-from tf_lab.data.preparation import SceneJob, prepare_scenes
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame, write_scene
+from tf_lab.support.tasks import SceneJob, prepare_scenes
 
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
 

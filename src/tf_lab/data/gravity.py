@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 from tf_lab.data.origin import local_origin
-from tf_lab.data.text import read_numbers
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import rotation_between
+from tf_lab.support.text import read_numbers
 
 DIRECTION_FILE = "gravity-direction.txt"
 # Below this second moment of the camera x axes (a spread of some 8 degrees) they hardly vary.

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tf_lab.data.text import read_text
 from tf_lab.errors import TFLabError
+from tf_lab.support.text import read_text
 
 SPLITS = ("train", "val", "test")  # 1201, 312 and 100 scenes
 WALL, FLOOR = 1, 2  # NYU40

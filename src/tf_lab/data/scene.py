@@ -23,7 +23,7 @@ from PIL import Image
 
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.errors import TFLabError
-from tf_lab.files import write_json
+from tf_lab.support.files import write_json
 
 FORMAT = 2
 

@@ -26,9 +26,9 @@ from webdataset import TarWriter
 
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import ChunkRecord
-from tf_lab.data.preparation import run_tasks
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_path, remove_abandoned, write_json
+from tf_lab.support.files import atomic_path, remove_abandoned, write_json
+from tf_lab.support.tasks import run_tasks
 
 FORMAT = 1
 INDEX = "shards.json"

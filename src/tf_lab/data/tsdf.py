@@ -16,7 +16,7 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, invert_pose, pixel_directions, transform
-from tf_lab.isosurface import mesh_of
+from tf_lab.meshes.isosurface import mesh_of
 
 BYTES = 64  # a voxel of a slab while it is fused: the sums, and a frame's temporaries
 

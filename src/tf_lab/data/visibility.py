@@ -18,7 +18,7 @@ from tf_lab.data.groundtruth import MAX_READING, DepthMaps
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Scene
 from tf_lab.geometry import in_view, invert_pose, project
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes.files import read_mesh
 
 REACH = 5.0  # metres that a frustum reaches
 

@@ -27,7 +27,7 @@ from tf_lab.evaluation.metrics import (
     reconstruction_metrics,
     visibility,
 )
-from tf_lab.meshes import read_mesh
+from tf_lab.meshes.files import read_mesh
 
 PROTOCOL = "transformerfusion"
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution

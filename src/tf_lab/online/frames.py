@@ -19,7 +19,7 @@ from tf_lab.geometry import in_view, invert_pose, project, view_rays
 from tf_lab.network.network import LEVELS, Network
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.frustum import frustum_planes
-from tf_lab.online.table import Table
+from tf_lab.online.lattice.table import Table
 
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
 CAMERA = {"K": (3, 3), "world_T_cam": (4, 4), "cam_T_world": (4, 4), "planes": (6, 4)}

@@ -15,10 +15,10 @@ from torch import Tensor, nn
 
 from tf_lab.geometry import COARSE, FINE
 from tf_lab.network.network import Network
-from tf_lab.online import sparse
-from tf_lab.online.blocks import offsets
 from tf_lab.online.decode import Decoder
-from tf_lab.online.level import Box, Level
+from tf_lab.online.lattice import sparse
+from tf_lab.online.lattice.blocks import offsets
+from tf_lab.online.lattice.level import Box, Level
 
 DECODED = {"cpu": 1 << 15, "cuda": 1 << 20}  # samples decoded at a time
 

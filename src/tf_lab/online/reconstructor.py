@@ -30,13 +30,13 @@ from tf_lab.geometry import COARSE, FINE, is_valid_pose, linear_map
 from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
 from tf_lab.online.frustum import frustum_box, voxels_in
-from tf_lab.online.level import Box, Level
+from tf_lab.online.lattice.level import Box, Level
 from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.pipeline import Pipeline
-from tf_lab.online.selection import AttentionSelection, RandomSelection, SelectionPolicy
 from tf_lab.online.settings import DTYPES, ReconstructionSettings, dtype_of
 from tf_lab.online.surface import Surface, whole_chunks
-from tf_lab.online.view_store import ViewStore
+from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.views.store import ViewStore
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 

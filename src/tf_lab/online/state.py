@@ -14,12 +14,12 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.files import atomic_path
 from tf_lab.network.network import Network
-from tf_lab.online.level import Level
+from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.selection import make_policy
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.views.selection import make_policy
+from tf_lab.support.files import atomic_path
 
 FORMAT = 1
 COLUMNS = ("frames", "logits", "seen")

@@ -14,9 +14,9 @@ import trimesh
 from torch import Tensor
 
 from tf_lab.geometry import CHUNK, FINE, VoxelGrid
-from tf_lab.isosurface import mesh_of
-from tf_lab.online.blocks import offsets
-from tf_lab.online.level import BLOCK, Box, Level
+from tf_lab.meshes.isosurface import mesh_of
+from tf_lab.online.lattice.blocks import offsets
+from tf_lab.online.lattice.level import BLOCK, Box, Level
 
 EDGE = round(CHUNK / FINE)  # fine voxels along a chunk's edge
 Chunk = tuple[int, int, int]

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from tf_lab.data.diagnosis.evidence import Evidence, Geometry
 from tf_lab.data.diagnosis.verdict import Report
 from tf_lab.errors import TFLabError
-from tf_lab.pictures import DPI, write_figure
+from tf_lab.evaluation.pictures import DPI, write_figure
 
 SHOWN = 14  # matches of a pair
 GIVEN, BEST = "#d95f02", "#1b9e77"

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from tf_lab.data.lens import Camera, camera_of
 from tf_lab.data.readers.images import image_size
-from tf_lab.data.text import parse_numbers, read_lines, read_numbers, read_text
 from tf_lab.errors import TFLabError
+from tf_lab.support.text import parse_numbers, read_lines, read_numbers, read_text
 
 MAX_GAP = 0.02  # seconds between an image and its pose: under a frame at 30 Hz
 K_CURE = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"

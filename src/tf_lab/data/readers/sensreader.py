@@ -21,8 +21,8 @@ from tf_lab.data.readers.images import image_files
 from tf_lab.data.readers.parsing import parse_pose, read_pose
 from tf_lab.data.readers.scannet import DOWN, camera_of_matrix, color_T_depth_of, rigid
 from tf_lab.data.readers.source import ColorFile, DepthFile, Rig, SourceCapture, collect
-from tf_lab.data.text import read_lines
 from tf_lab.errors import TFLabError
+from tf_lab.support.text import read_lines
 
 NAME = "sensreader"
 LAYOUT = "_info.txt, frame-XXXXXX.color.jpg, frame-XXXXXX.pose.txt"

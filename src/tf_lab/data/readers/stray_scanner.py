@@ -25,8 +25,8 @@ from tf_lab.data.readers.frames_of_video import Video, VideoFrame
 from tf_lab.data.readers.parsing import pose_of_quaternion, read_intrinsics
 from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import Pixels, SourceCapture, SourceFrame, collect
-from tf_lab.data.text import read_lines
 from tf_lab.errors import TFLabError
+from tf_lab.support.text import read_lines
 
 NAME = "stray_scanner"
 LAYOUT = "odometry.csv, camera_matrix.csv, rgb.mp4"

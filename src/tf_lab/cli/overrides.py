@@ -1,0 +1,146 @@
+"""What is wrong with the words of a command line, in one line.
+
+Hydra needs several for that, and takes a value of any type for any setting.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import MissingConfigException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+
+from tf_lab.cli.help import is_within
+from tf_lab.cli.text_settings import value_of
+from tf_lab.errors import TFLabError
+
+JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
+OF_ANY_TYPE = ("trainer.devices",)  # a number, a list or "auto"
+
+
+def is_sweep(words: argparse.Namespace) -> bool:
+    """Whether a command line asks for several jobs."""
+    asked = words.multirun or any(
+        word == "hydra.mode=MULTIRUN" or (word.startswith("sweep=") and word != "sweep=null")
+        for word in words.overrides
+    )
+    return asked and JOB not in words.overrides
+
+
+def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
+    """That the settings given are of use, and of the type of their defaults.
+
+    Args:
+        cfg: as the command got it from Hydra, whose job is still running.
+        unused: settings (or groups of them) that the command does not read. A choice among a
+            group's options may still say something else.
+
+    Raises:
+        TFLabError: one is not.
+    """
+    job = HydraConfig.get()
+    given = OverridesParser.create().parse_overrides(task_words(job))
+    choices = [str(o.input_line) for o in given if o.key_or_group in job.runtime.choices]
+    defaults = compose(job.job.config_name, choices)
+    for override in given:
+        name = override.key_or_group
+        if is_within(name, unused) and name not in job.runtime.choices:
+            raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
+        if name in OF_ANY_TYPE or override.is_add() or override.is_delete():
+            continue
+        if name == "launcher" and JOB not in sys.argv:
+            raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
+        wanted = _wanted(value_of(cfg, name), value_of(defaults, name))
+        if wanted is not None:
+            raise TFLabError(f"{override.input_line}: must be {wanted}")
+
+
+def task_words(hydra: Any) -> list[str]:
+    """The settings in Hydra's command line, of which nothing is replaced by another's value."""
+    words = OmegaConf.to_container(hydra.overrides.task, resolve=False)
+    assert isinstance(words, list)
+    return [str(word) for word in words]
+
+
+def check_groups(words: Sequence[str], conf: Path) -> None:
+    """That no group is set to nothing, which Hydra answers with a traceback.
+
+    Raises:
+        TFLabError: one is.
+    """
+    for word in words:
+        group, _, choice = word.lstrip("+").partition("=")
+        if choice == "null" and (conf / group).is_dir():
+            there = ", ".join(sorted(path.stem for path in (conf / group).glob("*.yaml")))
+            raise TFLabError(f"{word}: choose one of {there}, or leave it out")
+
+
+def _wanted(value: Any, default: Any) -> str | None:
+    """What the value should be; None: it is."""
+    if isinstance(default, bool):
+        return None if isinstance(value, bool) else "true or false"
+    if isinstance(default, (int, float)):
+        fits = value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+        return None if fits else "a number"
+    return None
+
+
+def explain(error: Exception, conf: Path, name: str) -> str:
+    """An error of Hydra in one line: what is wrong, and what there is.
+
+    Args:
+        error: what Hydra raised.
+        conf: the directory of the configs.
+        name: of the command and its config.
+    """
+    more = f"`python -m tf_lab.{name} --help` lists all"
+    text = str(error) or str(error.__cause__)
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
+        group, _, choice = error.missing_cfg_file.rpartition("/")
+        return f"{group}={choice}: no such choice; there are {', '.join(error.options)}"
+    if isinstance(error, OverrideParseException):
+        if "=" not in error.override:
+            return f"{error.override}: not of the form NAME=VALUE; {more}"
+        reason = text.splitlines()[0]
+        key, _, value = error.override.partition("=")
+        quoted = shlex.quote(f"{key}={QuotedString(value, Quote.double).with_quotes()}")
+        return f"{error.override}: cannot be read ({reason}); if it is text, write {quoted}"
+    if unknown := re.search(r"Could not override '([^'@]+)", text):
+        key = unknown.group(1)
+        return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name)}; {more}"
+    if several := re.match(r"Ambiguous value for argument '(.+)'\n", text):
+        key, _, values = several.group(1).partition("=")
+        return f"{key}={values}: add -m to run each of them, or write {key}=[{values}] for a list"
+    return " ".join(text.split())
+
+
+def _nearest(key: str, conf: Path, name: str) -> str:
+    """A question: the settings that may have been meant, if any is like it."""
+    with initialize_config_dir(str(conf), version_base="1.3"):
+        cfg = compose(name, return_hydra_config=True)
+    values = OmegaConf.to_container(cfg)
+    assert isinstance(values, dict)
+    names = [*_names(values), *cfg.hydra.runtime.choices]
+    known = dict.fromkeys(n for n in names if not n.startswith("hydra"))
+    same = [k for k in known if k.rpartition(".")[2] == key.rpartition(".")[2]]
+    meant = same or difflib.get_close_matches(key, known, 2)
+    return f" (did you mean {' or '.join(meant)}?)" if meant else ""
+
+
+def _names(values: dict[Any, Any], prefix: str = "") -> Iterator[str]:
+    """The dotted names of all settings."""
+    for key, value in values.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _names(value, f"{prefix}{key}.")

@@ -1,0 +1,1 @@
+"""The typed configuration, and what is built from it."""

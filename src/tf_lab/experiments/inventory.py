@@ -1,0 +1,145 @@
+"""What trainings and evaluations lie in an output folder, and in which state."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+
+from tf_lab.errors import TFLabError
+from tf_lab.experiments.identity import row_label
+from tf_lab.experiments.reuse import Origin, origin_of
+from tf_lab.support.files import holder
+
+TRAININGS, RUNS = "trainings", "runs"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A training or an evaluation.
+
+    Attributes:
+        directory: where it lies.
+        state: "finished", "damaged", "unfinished", or how far a training is.
+        user: the process that works on it; None: nobody.
+        config: its resolved config; empty if that cannot be read.
+        origin: its provenance; empty unless it is finished (an evaluation: begun).
+        fscore: of a finished evaluation.
+    """
+
+    directory: Path
+    state: str
+    user: str | None
+    config: dict[str, Any]
+    origin: Origin
+    fscore: float | None = None
+
+    @property
+    def label(self) -> str:
+        """The row of the paper's tables and the seed."""
+        return f"{row_label(self.config)} / {self.config['seed']}" if self.config else "?"
+
+    @property
+    def training(self) -> str | None:
+        """The name of the training that an evaluation is of."""
+        checkpoint = self.origin.get("checkpoint")
+        return Path(checkpoint).parent.name if checkpoint else None
+
+
+def find_trainings(output: Path) -> list[Entry]:
+    """All trainings of an output folder."""
+    return [_training(path) for path in _folders(output / TRAININGS)]
+
+
+def find_runs(output: Path) -> list[Entry]:
+    """All evaluations of an output folder."""
+    return [_run(path) for path in _folders(output / RUNS)]
+
+
+def _folders(parent: Path) -> list[Path]:
+    found = parent.iterdir() if parent.is_dir() else ()
+    return sorted(path for path in found if path.is_dir() and not path.name.startswith("."))
+
+
+def _training(directory: Path) -> Entry:
+    config = _config(directory)
+    origin: Origin = {}
+    last = directory / "last.ckpt"
+    try:
+        if (directory / "model.safetensors").exists():
+            state, origin = "finished", origin_of(directory)
+        elif last.exists():
+            step = torch.load(last, map_location="cpu", mmap=True, weights_only=True)["global_step"]
+            state = f"step {step} of {config['optimizer']['steps']}"
+        else:
+            state = "unfinished"
+    except Exception:  # any damage
+        state = "damaged"
+    return Entry(directory, state, holder(directory), config, origin)
+
+
+def _run(directory: Path) -> Entry:
+    config, fscore = _config(directory), None
+    origin: Origin = {}
+    try:
+        origin = origin_of(directory)
+        fscore = json.loads((directory / "metrics.json").read_text())["mean"]["fscore"]
+        state = "finished"
+    except (TFLabError, OSError, ValueError, KeyError, TypeError):
+        state = "damaged" if (directory / "metrics.json").exists() else "unfinished"
+    return Entry(directory, state, holder(directory), config, origin, fscore)
+
+
+def _config(directory: Path) -> dict[str, Any]:
+    try:
+        return dict(yaml.safe_load((directory / "config.yaml").read_text()))
+    except (OSError, TypeError, ValueError, yaml.YAMLError):
+        return {}
+
+
+def find(output: Path, name: str) -> Entry:
+    """The training or evaluation of a name, of a key (the name's end), or in a directory.
+
+    Args:
+        output: where to look for it, unless it is a directory of another output folder.
+        name: of it.
+
+    Raises:
+        TFLabError: there is none, or more than one.
+    """
+    output = _output_of(name) or output
+    entries = [*find_trainings(output), *find_runs(output)]
+    directory = Path(name).resolve()
+    found = [e for e in entries if e.directory.resolve() == directory or e.directory.name == name]
+    found = found or [e for e in entries if e.directory.name.endswith(f"-{name}")]
+    if len(found) != 1:
+        several = "more than one is" if found else "no training or evaluation is"
+        there = f"python -m tf_lab.runs output={output}"
+        raise TFLabError(f"{name}: {several} called so in {output}; see {there}")
+    return found[0]
+
+
+def _output_of(name: str) -> Path | None:
+    """The output folder that a training or an evaluation lies in, if that is what the path is."""
+    for path in (Path(name), Path(name).resolve()):
+        if path.is_dir() and path.parent.name in (TRAININGS, RUNS):
+            return path.parents[1]
+    return None
+
+
+def with_dependents(entry: Entry) -> list[Path]:
+    """The directories that go with it: a training and its evaluations, or an evaluation.
+
+    Raises:
+        TFLabError: one is in use.
+    """
+    runs = find_runs(entry.directory.parents[1])
+    dependent = [run for run in runs if run.training == entry.directory.name]
+    for each in (entry, *dependent):
+        if each.user:
+            raise TFLabError(f"{each.directory}: {each.user} works on it; end that first")
+    return [*(run.directory for run in dependent), entry.directory]

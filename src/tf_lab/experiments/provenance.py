@@ -1,0 +1,88 @@
+"""Where a result comes from: commit and code, versions, machine, command line."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import platform
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from tf_lab import __version__
+
+PACKAGE = Path(__file__).resolve().parents[1]
+# what weights and scores depend on
+CORE = ("data", "network", "online", "meshes", "evaluation", "training", "geometry.py")
+
+
+def provenance() -> dict[str, Any]:
+    """Commit, versions, machine and command line: what is needed to repeat a run."""
+    packages = ["torch", "lightning", "hydra-core", "numpy", "scipy", "scikit-image", "trimesh"]
+    return {
+        "tf_lab": __version__,
+        "commit": commit(),
+        "code": code_version(),
+        "command": " ".join(["python -m tf_lab." + Path(sys.argv[0]).stem, *sys.argv[1:]]),
+        "python": platform.python_version(),
+        "packages": {name: importlib.metadata.version(name) for name in packages},
+        "machine": {
+            "system": platform.platform(),
+            "cpus": os.cpu_count(),
+            "processor": _processor(),
+        },
+    }
+
+
+@functools.cache
+def code_version() -> str:
+    """A hash of the code that weights and scores depend on; a commit may change other things."""
+    digest = hashlib.sha256()
+    files = [path for name in CORE for path in (PACKAGE / name, *(PACKAGE / name).rglob("*.py"))]
+    files += (PACKAGE / "weights").glob("*-encoder.safetensors")
+    for path in sorted(path for path in files if path.is_file()):
+        digest.update(f"{path.relative_to(PACKAGE).as_posix()}\0".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+@functools.cache
+def commit() -> str:
+    """The checkout's commit, "-dirty" if it has changes; "unknown" outside a checkout."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            cwd=PACKAGE,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return described.stdout.strip()
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def without_places(value: Any, key: str = "") -> Any:
+    """What a JSON file holds without absolute paths: a checkpoint's is cut, an argument's goes."""
+    if isinstance(value, dict):
+        return {k: without_places(v, k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [without_places(item) for item in value]
+    if key == "checkpoint":
+        return "/".join(Path(value).parts[-3:])
+    if key == "command":
+        return re.sub(r"""\s\S+=["']?[/~]\S*""", "", value)
+    return value

@@ -1,0 +1,101 @@
+"""What is there already, and whether another code made it."""
+
+from __future__ import annotations
+
+import glob
+import json
+import shlex
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+
+from tf_lab.errors import TFLabError
+from tf_lab.experiments.identity import key_of, training_identity
+from tf_lab.experiments.provenance import code_version, commit
+from tf_lab.network.checkpoint import read_info
+
+Origin = Mapping[str, Any]
+
+
+def origin_of(directory: Path) -> Origin:
+    """The provenance of a finished training, or of an evaluation and (``training``) its training.
+
+    Raises:
+        TFLabError: it is missing or damaged.
+    """
+    checkpoint, run = directory / "model.safetensors", directory / "run.json"
+    if checkpoint.exists():
+        return read_info(checkpoint).get("training", {})
+    try:
+        return json.loads(run.read_text())
+    except (OSError, ValueError) as error:
+        raise TFLabError(
+            f"{run}: damaged ({error}); to make it anew: {removal(directory)}"
+        ) from error
+
+
+def removal(directory: Path) -> str:
+    """The command that removes a training or an evaluation, so that it is made anew."""
+    return f"python -m tf_lab.runs rm {shlex.quote(str(directory))}"
+
+
+def say_reused(what: str, directory: Path) -> None:
+    """Print that a finished training or evaluation is reused, and whether another code made it."""
+    print(f"reusing the identical finished {what} {directory}", flush=True)
+    try:
+        origin = origin_of(directory)
+    except TFLabError:
+        origin = {}
+    training = origin.get("training", origin)
+    makers = [origin, *training.get("sittings", [])]
+    if any(maker.get("code") != code_version() for maker in makers):
+        now = commits_of([{"commit": commit()}])
+        print(
+            f"note: another code made it (commit {commits_of(makers)}, now {now}); "
+            f"to make it anew: {removal(directory)}"
+        )
+
+
+def commits_of(origins: Iterable[Origin]) -> str:
+    """The commits of some provenances, as people write them."""
+    parts = (str(origin.get("commit", "unknown")).partition("-") for origin in origins)
+    return " and ".join(dict.fromkeys(name[:9] + dash + dirty for name, dash, dirty in parts))
+
+
+def earlier_state(config: Mapping[str, Any], directory: Path) -> Path | None:
+    """The last state of the same training of fewer steps, if this one would pass through it.
+
+    That is so unless the schedule depends on the number of steps: then a note says how to go on
+    from that state nevertheless, which makes another training.
+
+    Args:
+        config: of a training.
+        directory: of that training; the others lie beside it.
+    """
+    steps, found = config["optimizer"]["steps"], []
+    beside = glob.escape(directory.name.rpartition("-")[0])
+    for path in directory.parent.glob(f"{beside}-*/last.ckpt"):
+        try:
+            other = yaml.safe_load((path.parent / "config.yaml").read_text())
+            fewer = other["optimizer"]["steps"] < steps
+            if fewer and _but_for_steps(other) == _but_for_steps(config):
+                state = torch.load(path, map_location="cpu", mmap=True, weights_only=True)
+                found.append((int(state["global_step"]), path))
+        except Exception:  # any damage
+            continue
+    step, last = max(found, default=(0, None))
+    if last is None or config["optimizer"]["schedule"] == "inverse_sqrt":
+        return last
+    print(
+        f"note: {last.parent} is this training of fewer steps, and its schedule was planned for "
+        f"those; this one starts anew. To go on from its step {step}: init={last}"
+    )
+    return None
+
+
+def _but_for_steps(config: Mapping[str, Any]) -> str:
+    identity = training_identity(config)
+    return key_of({**identity, "optimizer": {**identity["optimizer"], "steps": None}})

@@ -1,0 +1,1 @@
+"""Meshes: files, marching cubes, colours, ray casting."""

@@ -1,0 +1,83 @@
+"""A trained network in one file: safetensors, with its configuration in the header."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+
+from tf_lab.errors import TFLabError
+from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.support.files import atomic_path
+
+SHIPPED = Path(__file__).resolve().parents[1] / "weights"
+
+
+def save_network(network: Network, path: Path, info: dict[str, Any]) -> None:
+    """Write weights and configuration; ``info`` (provenance) goes into the header too."""
+    state = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items()}
+    metadata = {"config": json.dumps(asdict(network.config)), "info": json.dumps(info)}
+    with atomic_path(path) as temporary:
+        save_file(state, temporary, metadata)
+
+
+def read_info(path: Path) -> dict[str, Any]:
+    """The provenance of a checkpoint, without its weights.
+
+    Raises:
+        TFLabError: the file is not a checkpoint.
+    """
+    return json.loads(_metadata(path).get("info", "{}"))
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    try:
+        with safe_open(path, framework="np") as file:
+            return file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise TFLabError(
+            f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
+        ) from error
+
+
+def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
+    """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
+
+    Raises:
+        TFLabError: the file is missing, not a checkpoint, or of another network.
+    """
+    if not path.is_file():
+        raise TFLabError(f"{path}: no such checkpoint; train one with `python -m tf_lab.train`")
+    metadata = _metadata(path)
+    if "config" not in metadata:
+        raise TFLabError(
+            f"{path}: no network configuration inside; it is not a checkpoint of tf_lab"
+        )
+    try:
+        network = Network(NetworkConfig(**json.loads(metadata["config"])))
+        network.load_state_dict(load_file(path))
+        info = json.loads(metadata.get("info", "{}"))
+    except (TFLabError, TypeError, KeyError, ValueError, RuntimeError) as error:
+        reason = textwrap.shorten(str(error), 160)
+        raise TFLabError(
+            f"{path}: made by another version or another network ({reason}); train it again"
+        ) from error
+    return network.eval(), info
+
+
+def shipped_checkpoint(name: str = "tiny") -> Path:
+    """The checkpoint that comes with the package."""
+    return SHIPPED / f"{name}.safetensors"
+
+
+def shipped_encoder(model: str, encoder: str = "resnet") -> Path:
+    """The pre-trained encoder ("rooms") that comes with the package, if any.
+
+    A ResNet has its size from the model; any other encoder is the same for all.
+    """
+    return SHIPPED / f"{model if encoder == 'resnet' else encoder}-encoder.safetensors"

@@ -1,0 +1,98 @@
+"""Captures to meshes, and meshes to scores: what training's tests and the commands share."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from tf_lab.data.capture import Capture
+from tf_lab.data.keyframes import select_keyframes
+from tf_lab.errors import TFLabError
+from tf_lab.network.network import Network
+from tf_lab.online.reconstructor import Reconstructor
+from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.views.selection import make_policy
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class TestSettings:
+    """All that shapes a reconstruction, given a network.
+
+    Attributes:
+        reconstruction: views, mask threshold, mesh resolution.
+        select: "attention" or "random".
+        seed: of random selection.
+        keyframe_distance: see `keyframes`; 0 takes every frame.
+    """
+
+    __test__ = False  # not a test class, whatever pytest makes of the name
+
+    reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
+    select: str = "attention"
+    seed: int = 0
+    keyframe_distance: float = 0.1
+
+
+@dataclass
+class Reconstruction:
+    """A mesh in metres, the keyframes it was made of, and the frames that could not be read."""
+
+    mesh: trimesh.Trimesh
+    keyframes: list[int]
+    skipped: list[str]
+
+
+def reconstruct(
+    network: Network,
+    capture: Capture,
+    settings: TestSettings,
+    progress: Callable[[int, int], None] | None = None,
+) -> Reconstruction:
+    """Reconstruct a capture from its keyframes; frames that can't be read are skipped.
+
+    Args:
+        network: in evaluation mode.
+        capture: posed images.
+        settings: test-time settings.
+        progress: called with (frames done, frames in all).
+
+    Raises:
+        TFLabError: no frame can be read.
+    """
+    keyframes = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
+    # averaging has no preference among views: its "attention" is a random choice, seeded
+    select = settings.select if network.config.fusion != "avg" else "random"
+    policy = make_policy(select, settings.seed)
+    online = Reconstructor(network, settings.reconstruction, policy)
+    used, skipped = [], []
+    for done, i in enumerate(keyframes, start=1):
+        try:
+            online.add_frame(capture.image(i), capture.K[i], capture.world_T_cam[i])
+            used.append(i)
+        except TFLabError as error:
+            log.warning("frame %s skipped: %s", capture.frames[i], error)
+            skipped.append(f"{capture.frames[i]}: {error}")
+        if progress is not None:
+            progress(done, len(keyframes))
+    if not used:
+        raise TFLabError(
+            f"{capture.name}: none of the {len(keyframes)} keyframes can be read; the first: "
+            f"{skipped[0]}"
+        )
+    return Reconstruction(online.mesh(), used, skipped)
+
+
+def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> float:
+    """By how many keyframes the median surface point is seen, occlusion considered."""
+    from tf_lab.data.visibility import views_per_point
+    from tf_lab.meshes.files import read_mesh
+
+    mesh = read_mesh(groundtruth / "mesh_gt.ply")
+    return float(np.median(views_per_point(capture, keyframes, mesh)))

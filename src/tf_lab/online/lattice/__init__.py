@@ -1,0 +1,1 @@
+"""Voxels: blocks of them, their columns, sparse convolutions."""

@@ -1,0 +1,124 @@
+"""The paper's two charts of a study: F-score against K, and F-score of every row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tf_lab.reporting.paper import ABLATIONS, ATTENTION, OURS, RANDOM, SCORES
+from tf_lab.reporting.statistics import deviation
+from tf_lab.reporting.studies import Study
+from tf_lab.support.files import atomic_path
+
+# told apart by colour-blind eyes (Okabe and Ito, 2008), and by their markers in grey
+BLUE, ORANGE = "#0072B2", "#D55E00"
+MEAN = "mean ± standard deviation"
+# name, rows, colour, marker, octaves of K to the right
+SELECTIONS: tuple[tuple[str, dict[int, str], str, str, float], ...] = (
+    ("attention", ATTENTION, BLUE, "o", -0.05),
+    ("random", RANDOM, ORANGE, "s", 0.05),
+)
+DPI = 200
+
+
+def views_chart(study: Study) -> Figure:
+    """F-score against views kept a voxel, attention and random selection, beside the paper's.
+
+    Dots are seeds, lines go through their means, and bars are the standard deviation.
+    """
+    figure = _figure(7.0, 3.1)
+    here, there = figure.subplots(1, 2, sharey=True)
+    for name, rows, color, marker, shift in SELECTIONS:
+        found = {k: study.scores(row).mean(1) for k, row in rows.items() if study.seeds(row)}
+        theirs = {k: np.array([SCORES[row]["fscore"]]) for k, row in rows.items()}
+        for axes, values in ((here, found), (there, theirs)):
+            _draw_line(axes, values, name, color, marker, shift)
+    here.set(title=f"This study ({_repetitions(study)})", ylabel="F-score")
+    there.set(title="Paper (ScanNet)")
+    for axes in (here, there):
+        axes.set_xscale("log", base=2)
+        axes.set_xticks([*ATTENTION], [str(k) for k in ATTENTION])
+        axes.set(xlabel="views kept a voxel, K", xlim=(3.4, 18.8))
+        axes.minorticks_off()
+    there.legend(title="view selection", frameon=False, loc="best")
+    return figure
+
+
+def _draw_line(
+    axes: Axes, values: Mapping[int, np.ndarray], name: str, color: str, marker: str, shift: float
+) -> None:
+    """Means over seeds [S] by K, with bars of their deviation, and the seeds as small dots.
+
+    All is shifted by so many octaves of K, the dots by twice that, so that nothing is hidden.
+    """
+    places = np.array([*values]) * 2**shift
+    means = [value.mean() for value in values.values()]
+    spread = [deviation(value) or np.nan for value in values.values()]
+    bars = axes.errorbar(places, means, yerr=spread, label=name, color=color, capsize=3, zorder=3)
+    bars[0].set(marker=marker, markersize=5, linewidth=1.6)
+    for place, seeds in zip(places, values.values(), strict=True):
+        if len(seeds) > 1:
+            axes.plot([place * 2**shift] * len(seeds), seeds, ".", color=color, markersize=4)
+
+
+def rows_chart(study: Study) -> Figure:
+    """F-score of every row in the paper's order: mean, deviation, seeds, and the paper's value."""
+    others = [row for row in study.rows if row not in SCORES]
+    rows = [*ABLATIONS, *others, OURS]
+    figure = _figure(6.6, 0.9 + 0.33 * len(rows))
+    axes = figure.subplots()
+    found = {i: study.scores(row).mean(1) for i, row in enumerate(rows) if study.seeds(row)}
+    means = [seeds.mean() for seeds in found.values()]
+    spread = [deviation(seeds) or np.nan for seeds in found.values()]
+    axes.errorbar(means, [*found], xerr=spread, fmt="o", color=BLUE, capsize=3, label=MEAN)
+    dots = [(score, i) for i, seeds in found.items() for score in seeds if len(seeds) > 1]
+    if dots:
+        scores, heights = np.transpose(dots)
+        axes.plot(scores, heights + 0.27, ".", color="black", markersize=4, label="a seed")
+    theirs = {i: SCORES[row]["fscore"] for i, row in enumerate(rows) if row in SCORES}
+    style: dict[str, Any] = {
+        "color": ORANGE,
+        "fillstyle": "none",
+        "markersize": 5,
+        "linestyle": "none",
+    }
+    above = np.array([*theirs]) - 0.27
+    axes.plot([*theirs.values()], above, marker="D", label="paper (ScanNet)", **style)
+    for i in range(0, len(rows), 2):
+        axes.axhspan(i - 0.5, i + 0.5, color="0.955", zorder=0)
+    missing = [" (missing)" * (i not in found) for i in range(len(rows))]
+    labels = [f"{row.removeprefix('Ours: ')}{m}" for row, m in zip(rows, missing, strict=True)]
+    axes.set_yticks(range(len(rows)), labels)
+    axes.tick_params(axis="y", length=0)
+    axes.set(xlabel=f"F-score ({_repetitions(study)})", ylim=(len(rows) - 0.5, -0.5))
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _repetitions(study: Study) -> str:
+    seeds, scenes = len(study.seeds()), len(study.scenes)
+    return f"{seeds} seed{'s' * (seeds > 1)}, {scenes} test scene{'s' * (scenes > 1)}"
+
+
+def _figure(width: float, height: float) -> Figure:
+    """An empty figure in inches, in the charts' style."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_chart(figure: Figure, path: Path) -> None:
+    """Write a chart as PNG and as PDF, ``path`` without the suffix; both only depend on it."""
+    for suffix, metadata in ((".png", {}), (".pdf", {"CreationDate": None})):
+        with (
+            atomic_path(path.with_suffix(suffix)) as temporary,
+            matplotlib.rc_context({"pdf.fonttype": 42}),
+        ):
+            figure.savefig(temporary, facecolor="white", metadata=metadata)

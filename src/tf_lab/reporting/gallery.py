@@ -1,0 +1,104 @@
+"""The same room under every row, side by side, from the meshes of the runs."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from matplotlib.figure import Figure
+from PIL import Image
+
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.pictures import DPI, write_figure
+from tf_lab.meshes.files import read_mesh
+from tf_lab.meshes.raycast import overview_camera, render_mesh
+from tf_lab.reporting.paper import OURS
+from tf_lab.reporting.results import Run
+from tf_lab.reporting.studies import Study
+
+COLUMNS = 5
+PANEL = 3.1  # inches across
+COLORS = 32  # meshes are of one colour: shades enough, and a small file
+
+
+def scene_runs(study: Study, scene: str) -> dict[str, Run]:
+    """The run to show of each row that has a mesh of a scene: ours first, then as in the tables.
+
+    All are of one seed, that with the most such rows.
+    """
+    by_seed = {
+        seed: {
+            row: study.runs[row, seed]
+            for row in [OURS, *study.rows]
+            if (row, seed) in study.runs and mesh_path(study.runs[row, seed], scene).exists()
+        }
+        for seed in study.seeds()
+    }
+    return max(by_seed.values(), key=len)  # of equals the lowest seed
+
+
+def mesh_path(run: Run, scene: str) -> Path:
+    """Where a run keeps the mesh of a test scene."""
+    return run.directory / "meshes" / f"{scene}.ply"
+
+
+def draw_scene(
+    runs: dict[str, Run],
+    scene: str,
+    groundtruth: trimesh.Trimesh | None,
+    path: Path,
+    size: tuple[int, int] = (400, 300),
+) -> None:
+    """Draw a scene's ground truth, if there is one, and its mesh in every run, as one PNG.
+
+    Args:
+        runs: by row, all of one seed, at least one.
+        scene: its name.
+        groundtruth: mesh in metres.
+        path: the PNG.
+        size: (width, height) of a panel, pixels.
+
+    Raises:
+        TFLabError: a mesh cannot be read, or there is nothing to draw.
+    """
+    meshes = {row: read_mesh(mesh_path(run, scene)) for row, run in runs.items()}
+    titles = {row: f"{row}   F {run.scenes[scene]['fscore']:.3f}" for row, run in runs.items()}
+    if groundtruth is not None:
+        meshes = {"Ground truth": groundtruth, **meshes}
+    shown = next((mesh for mesh in meshes.values() if len(mesh.faces)), None)
+    if shown is None:
+        raise TFLabError(f"{path}: there is no surface to draw; all meshes are empty")
+    K, world_T_cam, ceiling = overview_camera(shown.bounds, size)
+    panels = {
+        titles.get(name, name): render_mesh(mesh, K, world_T_cam, size, ceiling)
+        for name, mesh in meshes.items()
+    }
+    seed = next(iter(runs.values())).seed
+    write_figure(_grid(panels, f"{scene}, seed {seed}", size), path, COLORS)
+
+
+def preview(path: Path, width: int = 1000) -> bytes:
+    """A picture as a JPEG of at most so many pixels across, small enough to keep in a notebook."""
+    with Image.open(path) as picture:
+        small = picture.convert("RGB")
+    small.thumbnail((width, width))
+    content = io.BytesIO()
+    small.save(content, "JPEG", quality=80)
+    return content.getvalue()
+
+
+def _grid(panels: dict[str, np.ndarray], heading: str, size: tuple[int, int]) -> Figure:
+    columns = min(COLUMNS, len(panels))
+    rows = -(-len(panels) // columns)
+    width, height = PANEL * columns, (PANEL * size[1] / size[0] + 0.3) * rows + 0.5
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    figure.suptitle(heading, fontsize=13, fontweight="bold")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for axes, (title, image) in zip(grid.flat, panels.items(), strict=False):
+        axes.imshow(image)
+        axes.set_title(title, fontsize=10)
+    return figure

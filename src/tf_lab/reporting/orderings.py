@@ -1,0 +1,94 @@
+"""What the paper's tables order, and whether a study finds the same.
+
+Each ordering is a weighted sum of rows' F-scores that is positive in the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tf_lab.reporting.paper import ABLATIONS, ATTENTION, OURS, RANDOM, SCORES
+from tf_lab.reporting.statistics import Estimate, estimate
+from tf_lab.reporting.studies import Study
+
+UNDER_OURS = "each row under ours"
+
+
+@dataclass(frozen=True)
+class Ordering:
+    """A claim: the weighted sum of the rows' F-scores is positive."""
+
+    family: str
+    claim: str
+    weights: Mapping[str, int]
+
+    @property
+    def paper(self) -> float:
+        """The sum in the paper."""
+        return sum(weight * SCORES[row]["fscore"] for row, weight in self.weights.items())
+
+
+def _orderings() -> list[Ordering]:
+    found = [Ordering(UNDER_OURS, f"{row} < {OURS}", {OURS: 1, row: -1}) for row in ABLATIONS]
+    found += [
+        Ordering("attention over random", f"K = {k}: RND < attention", {ATTENTION[k]: 1, row: -1})
+        for k, row in RANDOM.items()
+    ]
+    for name, rows in (("attention", ATTENTION), ("RND", RANDOM)):
+        found += [
+            Ordering("more views are better", f"{name}: K = {a} < {b}", {rows[b]: 1, rows[a]: -1})
+            for a, b in pairwise(rows)
+        ]
+    found += [
+        Ordering(
+            "attention matters more with fewer views",
+            f"attention - RND: K = {b} < {a}",
+            {ATTENTION[a]: 1, RANDOM[a]: -1, ATTENTION[b]: -1, RANDOM[b]: 1},
+        )
+        for a, b in pairwise(RANDOM)
+    ]
+    return found
+
+
+ORDERINGS = tuple(_orderings())
+
+
+def difference(study: Study, weights: Mapping[str, int]) -> Estimate | None:
+    """The weighted sum of rows' F-scores, paired by seed and scene; None if no seed has all."""
+    seeds = study.seeds(*weights)
+    if not seeds:
+        return None
+    terms = [weight * study.scores(row, seeds=seeds) for row, weight in weights.items()]
+    return estimate(np.sum(terms, axis=0))
+
+
+def verdict(found: Estimate | None) -> str:
+    """What an estimate says of an ordering that claims it positive."""
+    if found is None:
+        return "missing"
+    if found.low is None or found.high is None or found.low <= 0 <= found.high:
+        return "undecided"
+    return "holds" if found.low > 0 else "does not hold"
+
+
+def summary(study: Study) -> str:
+    """How many of the paper's orderings hold, in a few lines."""
+    lines = []
+    for family in dict.fromkeys(ordering.family for ordering in ORDERINGS):
+        members = [ordering for ordering in ORDERINGS if ordering.family == family]
+        found = [difference(study, ordering.weights) for ordering in members]
+        known = [estimate for estimate in found if estimate is not None]
+        verdicts = [verdict(estimate) for estimate in known]
+        parts = [
+            f"{sum(estimate.mean > 0 for estimate in known)} of {len(known)} hold in the mean",
+            f"{verdicts.count('holds')} with an interval above zero",
+            f"{verdicts.count('does not hold')} contradicted",
+        ]
+        if len(known) < len(members):
+            parts.append(f"{len(members) - len(known)} missing")
+        lines.append(f"{family}: " + ", ".join(parts))
+    return "\n".join(lines)

@@ -1,0 +1,75 @@
+"""The report of a study: its tables, orderings and charts as text and files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tf_lab.reporting.charts import rows_chart, save_chart, views_chart
+from tf_lab.reporting.formats import Table, comma_separated, latex, markdown
+from tf_lab.reporting.orderings import summary
+from tf_lab.reporting.studies import Study
+from tf_lab.reporting.tables import (
+    comparison_table,
+    inputs_table,
+    main_table,
+    orderings_table,
+    runs_table,
+    scene_table,
+    seed_table,
+)
+from tf_lab.support.files import atomic_path
+
+CHARTS = {"chart_views": views_chart, "chart_rows": rows_chart}
+
+
+def write_report(study: Study, remarks: Sequence[str], output: Path) -> None:
+    """Write tables (Markdown, LaTeX, CSV), orderings and charts to a folder."""
+    pages = {
+        "main": main_table(study),
+        "inputs": inputs_table(study),
+        "comparison": comparison_table(study),
+        "seeds": seed_table(study),
+        "scenes": scene_table(study),
+    }
+    orderings = orderings_table(study)
+    for name, table in {**pages, "orderings": orderings}.items():
+        _write(output / f"table_{name}.tex", latex(table))
+        _write(output / f"{name}.csv", comma_separated(table))
+    _write(output / "runs.csv", comma_separated(runs_table(study)))
+    _write(output / "tables.md", tables_page(study, remarks, list(pages.values())))
+    _write(output / "orderings.md", orderings_page(study, orderings))
+    for name, draw in CHARTS.items():
+        save_chart(draw(study), output / name)
+
+
+def tables_page(study: Study, remarks: Sequence[str], tables: Sequence[Table]) -> str:
+    """What the study is, the remarks on it, and its tables, as Markdown."""
+    parts = ["# Results", describe(study), *[f"- {remark}" for remark in remarks]]
+    parts += [f"## {t.name.capitalize()}\n\n{t.caption}\n\n{markdown(t)}" for t in tables]
+    return "\n\n".join(parts) + "\n"
+
+
+def orderings_page(study: Study, orderings: Table) -> str:
+    """The paper's orderings as Markdown: how many hold, and each."""
+    counts = "\n".join(f"- {line}" for line in summary(study).splitlines())
+    return f"# The paper's orderings\n\n{counts}\n\n{orderings.caption}\n\n{markdown(orderings)}\n"
+
+
+def describe(study: Study) -> str:
+    """What was run, in a few words."""
+    s = study.settings
+    text = (
+        f"Study {study.key}: {len(study.runs)} runs of {len(study.rows)} rows, seeds "
+        f"{', '.join(map(str, study.seeds()))}; data={s['data.name']}, model={s['model.name']}, "
+        f"{s['optimizer.steps']} steps; {len(study.scenes)} test scenes, "
+        f"meshed at {100 * s['test.resolution']:g} cm."
+    )
+    if study.missing:
+        text += f" Missing: {'; '.join(study.missing)}."
+    return text
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

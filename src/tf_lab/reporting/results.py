@@ -1,0 +1,164 @@
+"""Finished runs as records: which row of the paper a run is, of which seed, and its scores."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.metrics import KEYS, Metrics
+from tf_lab.experiments.identity import evaluation_identity, portable, row_label, training_identity
+from tf_lab.experiments.provenance import without_places
+from tf_lab.experiments.reuse import Origin, removal
+from tf_lab.support.files import atomic_path, write_json
+
+# What makes a run another row, or another repetition of one, of the same study.
+ROW_SETTINGS = ("fusion", "inputs", "refine", "filter", "views", "select", "seed")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    Attributes:
+        directory: where it lies.
+        row: its name in the paper's tables, told from the config.
+        seed: of its training.
+        config: resolved.
+        settings: what has to be equal for runs to be comparable, by dotted name.
+        scenes: metrics by test scene.
+        makers: provenances of the evaluation, of the training, and of each sitting of it.
+        finished: when its ``metrics.json`` was written, seconds since 1970.
+    """
+
+    directory: Path
+    row: str
+    seed: int
+    config: dict[str, Any]
+    settings: dict[str, Any]
+    scenes: dict[str, Metrics]
+    makers: tuple[Origin, ...]
+    finished: float
+
+
+def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
+    """All finished runs in some folders, however deep, and one line on each that is damaged.
+
+    Raises:
+        TFLabError: a folder does not exist, or there is no run that can be read.
+    """
+    runs, damaged = [], []
+    folders = list(folders)
+    for folder in folders:
+        if not folder.is_dir():
+            raise TFLabError(f"{folder}: there is no such folder; {_HINT}")
+        for path in sorted(folder.rglob("metrics.json")):
+            try:
+                runs.append(read_run(path.parent))
+            except TFLabError as error:
+                damaged.append(f"left out: {error}")
+    if not runs:
+        names = ", ".join(str(folder) for folder in folders)
+        raise TFLabError("; ".join([f"no finished run in {names}", *(damaged or [_HINT])]))
+    return runs, damaged
+
+
+_HINT = "run: python -m tf_lab.train sweep=main_ablation"
+
+
+def read_run(directory: Path) -> Run:
+    """A finished run, from its ``config.yaml``, ``metrics.json`` and ``run.json``.
+
+    Raises:
+        TFLabError: one of them is missing or damaged, or of a version that had other settings.
+    """
+    config = _read(directory / "config.yaml", yaml.safe_load)
+    metrics = _read(directory / "metrics.json", json.loads)
+    origin = _read(directory / "run.json", json.loads)
+    try:
+        trained, evaluated = training_identity(config), evaluation_identity(config)
+        row, seed = row_label(config), config["seed"]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise TFLabError(
+            f"{directory / 'config.yaml'}: lacks settings of this version ({error}); run it again"
+        ) from error
+    settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
+    settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
+    training = origin.get("training", {})
+    scenes = _scenes(metrics, directory / "metrics.json")
+    settings["test"]["protocol"] = metrics.get("protocol")
+    settings["test"]["scenes"] = sorted(scenes)
+    return Run(
+        directory,
+        row,
+        seed,
+        config,
+        _flat(settings),
+        scenes,
+        (origin, training, *training.get("sittings", [])),
+        (directory / "metrics.json").stat().st_mtime,
+    )
+
+
+def _read(path: Path, parse: Callable[[str], Any]) -> dict[str, Any]:
+    try:
+        found = parse(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
+    except (ValueError, yaml.YAMLError) as error:
+        raise TFLabError(f"{path}: damaged ({type(error).__name__}); {_anew(path)}") from error
+    if not isinstance(found, dict):
+        raise TFLabError(f"{path}: damaged (not a mapping); {_anew(path)}")
+    return found
+
+
+def _scenes(metrics: Mapping[str, Any], path: Path) -> dict[str, Metrics]:
+    try:
+        scenes = {
+            name: {key: float(scores[key]) for key in KEYS}
+            for name, scores in metrics["scenes"].items()
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise TFLabError(f"{path}: damaged (scenes: {error}); {_anew(path)}") from error
+    values = [value for scores in scenes.values() for value in scores.values()]
+    if not values or not all(map(math.isfinite, values)):
+        raise TFLabError(f"{path}: damaged (no scene, or a score is no number); {_anew(path)}")
+    return scenes
+
+
+def _anew(path: Path) -> str:
+    return f"to make it anew: {removal(path.parent)}"
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by their dotted names."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def keep_run(run: Run, folder: Path) -> Path:
+    """Copy a run's small files to ``folder/<its name>``, without the paths of this machine.
+
+    Meshes and pictures stay behind; what is kept is what `read_run` needs. ``metrics.json`` comes
+    last, as in the run itself.
+    """
+    kept = folder / run.directory.name
+    if kept.resolve() == run.directory.resolve():
+        return kept
+    with atomic_path(kept / "config.yaml") as temporary:
+        config = yaml.safe_dump(portable(run.config), sort_keys=False)
+        temporary.write_text(config, encoding="utf-8")
+    for name in ("run.json", "metrics.json"):
+        write_json(kept / name, without_places(_read(run.directory / name, json.loads)))
+    return kept

@@ -1,0 +1,153 @@
+"""Studies: runs that differ in nothing but the row and the seed, and so may share a table."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tf_lab.errors import TFLabError
+from tf_lab.experiments.identity import key_of
+from tf_lab.experiments.reuse import commits_of
+from tf_lab.reporting.paper import ABLATIONS, OURS
+from tf_lab.reporting.results import Run, find_runs
+
+SHOWN_DIFFERENCES = 4
+
+
+@dataclass(frozen=True)
+class Study:
+    """Comparable runs.
+
+    Attributes:
+        settings: what all share, by dotted name.
+        runs: by row and seed.
+        superseded: one line on each run that a newer one of its row and seed replaces.
+    """
+
+    settings: dict[str, Any]
+    runs: dict[tuple[str, int], Run]
+    superseded: tuple[str, ...] = ()
+
+    @cached_property
+    def key(self) -> str:
+        """A short hash of the settings."""
+        return key_of(self.settings)
+
+    @cached_property
+    def rows(self) -> list[str]:
+        """The rows that have runs: the paper's in its order, then any others."""
+        found = {row for row, _ in self.runs}
+        others = sorted(found.difference(ABLATIONS, (OURS,)))
+        return [row for row in (*ABLATIONS, OURS, *others) if row in found]
+
+    @property
+    def missing(self) -> list[str]:
+        """The paper's rows that have no run."""
+        return [row for row in (*ABLATIONS, OURS) if row not in self.rows]
+
+    @property
+    def scenes(self) -> list[str]:
+        """The test scenes."""
+        return list(self.settings["test.scenes"])
+
+    def seeds(self, *rows: str) -> list[int]:
+        """The seeds for which there are runs of all these rows (of any row, without one)."""
+        having: dict[int, set[str]] = defaultdict(set)
+        for row, seed in self.runs:
+            having[seed].add(row)
+        return sorted(seed for seed, found in having.items() if found.issuperset(rows))
+
+    def scores(
+        self, row: str, metric: str = "fscore", seeds: Sequence[int] | None = None
+    ) -> np.ndarray:
+        """A metric of a row: [seeds, scenes]; of all seeds it has, unless some are given."""
+        chosen = self.seeds(row) if seeds is None else seeds
+        values = [
+            [self.runs[row, seed].scenes[scene][metric] for scene in self.scenes] for seed in chosen
+        ]
+        return np.array(values).reshape(len(chosen), len(self.scenes))
+
+
+def open_study(folders: Iterable[Path | str], key: str | None = None) -> tuple[Study, list[str]]:
+    """The study with the most runs under some folders, or the one asked for.
+
+    Args:
+        folders: folders of runs, such as ``outputs/runs``.
+        key: start of the study's key.
+
+    Returns:
+        The study, and remarks on it, one a line: what was left out and why, and what is mixed.
+
+    Raises:
+        TFLabError: there is no run, or no study of this key.
+    """
+    runs, remarks = find_runs([Path(folder) for folder in folders])
+    studies = group(runs)
+    chosen = [study for study in studies if study.key.startswith(key or "")]
+    if not chosen:
+        keys = ", ".join(study.key for study in studies)
+        raise TFLabError(f"study={key}: there is no such study; there are: {keys}")
+    study = chosen[0]
+    remarks += study.superseded
+    for other in studies:
+        if other is not study:
+            what = differences(other.settings, study.settings)
+            remarks.append(f"left out: study {other.key}, {len(other.runs)} runs, with {what}")
+    return study, [*remarks, *_mixture(study)]
+
+
+def group(runs: Iterable[Run]) -> list[Study]:
+    """Comparable runs together, most runs first (of equals, the newest)."""
+    by_key: dict[str, list[Run]] = defaultdict(list)
+    for run in runs:
+        by_key[key_of(run.settings)].append(run)
+    studies = []
+    for members in by_key.values():
+        chosen: dict[tuple[str, int], Run] = {}
+        lines = []
+        for run in sorted(members, key=lambda run: run.finished):
+            older = chosen.get((run.row, run.seed))
+            chosen[run.row, run.seed] = run
+            if older and older.scenes != run.scenes:  # else a copy
+                lines.append(
+                    f"{run.row}, seed {run.seed}: {_named(run)} counts, the older {_named(older)} "
+                    "does not"
+                )
+        studies.append(Study(members[0].settings, chosen, tuple(lines)))
+    studies.sort(key=lambda s: (len(s.runs), max(r.finished for r in s.runs.values())))
+    return studies[::-1]
+
+
+def _named(run: Run) -> str:
+    return f"{run.directory} (commit {commits_of(run.makers[:1])})"
+
+
+def differences(settings: dict[str, Any], reference: dict[str, Any]) -> str:
+    """In which settings one differs from another, in a line."""
+    names = sorted({*settings, *reference})
+    absent = "nothing"
+    lines = [
+        f"{name} {_short(settings.get(name, absent))} (not {_short(reference.get(name, absent))})"
+        for name in names
+        if settings.get(name, absent) != reference.get(name, absent)
+    ]
+    more = len(lines) - SHOWN_DIFFERENCES
+    return ", ".join(lines[:SHOWN_DIFFERENCES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _short(value: Any) -> str:
+    return f"{len(value)} of them" if isinstance(value, list) and len(value) > 4 else str(value)
+
+
+def _mixture(study: Study) -> list[str]:
+    """A remark if the runs were not all made by the same code."""
+    makers = [maker for run in study.runs.values() for maker in run.makers]
+    if len({maker.get("code", maker.get("commit")) for maker in makers}) < 2:
+        return []
+    return [f"not all runs were made by the same code: commits {commits_of(makers)}"]

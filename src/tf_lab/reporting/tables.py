@@ -1,0 +1,188 @@
+"""The tables of a study: the paper's, the tests against ours, the orderings, and the details."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tf_lab.evaluation.protocol import COLUMNS
+from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
+from tf_lab.reporting.orderings import ORDERINGS, difference, verdict
+from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
+from tf_lab.reporting.statistics import Estimate, deviation
+from tf_lab.reporting.studies import Study
+
+LOWER_IS_BETTER = ("acc", "compl", "chamfer")
+ROW = Column("row", "Method")
+HERE, THERE = "This study", "Paper"
+SCORE = Column("fscore", "F-score", "up")
+INTERVAL = (
+    Column("difference", "Difference"),
+    Column("low", "95 % from"),
+    Column("high", "to"),
+    Column("p", "p"),
+)
+
+
+def main_table(study: Study) -> Table:
+    """The paper's main table, and after it the rows that the paper does not have."""
+    others = [row for row in study.rows if row not in (*ABLATIONS, OURS)]
+    return _beside_paper(study, "main", MAIN, [*map(list, MAIN.groups), others])
+
+
+def inputs_table(study: Study) -> Table:
+    """The paper's ablation of the transformers' inputs."""
+    return _beside_paper(study, "inputs", INPUTS, [[*group] for group in INPUTS.groups])
+
+
+def short_table(study: Study) -> Table:
+    """All rows that were run, with the paper's F-score only: fits a terminal."""
+    columns = (ROW, *_metrics(""), Column("paper", "Paper's F"))
+    body: list[Row] = [
+        (row, *_mean_cells(study, row), Number(SCORES.get(row, {}).get("fscore")))
+        for row in study.rows
+    ]
+    return Table("rows", "", columns, _with_best([body], columns))
+
+
+def _beside_paper(
+    study: Study, name: str, paper: PaperTable, groups: Sequence[Sequence[str]]
+) -> Table:
+    theirs = [replace(column, key=f"paper_{column.key}") for column in _metrics(THERE)]
+    columns = (ROW, *_metrics(HERE), *theirs)
+    body: list[list[Row]] = [
+        [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group] for group in groups
+    ]
+    seeds = ", ".join(map(str, study.seeds()))
+    caption = (
+        f"Mean and standard deviation over seeds {seeds} of the mean over "
+        f"{len(study.scenes)} test scenes; distances in cm. Beside it the paper's figures, which "
+        "are of ScanNet: only orders compare, not values."
+    )
+    return Table(name, caption, columns, _with_best(body, columns))
+
+
+def _metrics(span: str) -> list[Column]:
+    return [
+        Column(key, title, "down" if key in LOWER_IS_BETTER else "up", span)
+        for key, title, _ in COLUMNS
+    ]
+
+
+def _mean_cells(study: Study, row: str) -> list[Number]:
+    """Mean and deviation over seeds of each metric; nothing for a row without runs."""
+    return [_over_seeds(study.scores(row, key).mean(1), form) for key, _, form in COLUMNS]
+
+
+def _over_seeds(means: np.ndarray, form: str = ".3f") -> Number:
+    return Number(float(means.mean()), form, deviation(means)) if len(means) else Number(None)
+
+
+def _paper_cells(row: str) -> list[Number]:
+    return [Number(SCORES.get(row, {}).get(key), form) for key, _, form in COLUMNS]
+
+
+def _with_best(
+    body: Sequence[Sequence[Row]], columns: Sequence[Column]
+) -> tuple[tuple[Row, ...], ...]:
+    """The rows with the best of each column marked; what is equal as printed is equally good."""
+    best: list[str | None] = []
+    for i, column in enumerate(columns):
+        cells = [row[i] for group in body for row in group]
+        texts = [cell.parts()[0] for cell in cells if isinstance(cell, Number)]
+        shown = [text for text in texts if text]
+        pick = {"down": min, "up": max}.get(column.better)
+        best.append(pick(shown, key=float) if pick and len(shown) > 1 else None)
+
+    def marked(cell: Cell, winner: str | None) -> Cell:
+        if isinstance(cell, Number) and winner and cell.parts()[0] == winner:
+            return replace(cell, best=True)
+        return cell
+
+    return tuple(tuple(tuple(map(marked, row, best)) for row in group) for group in body)
+
+
+def comparison_table(study: Study) -> Table:
+    """Each row's F-score against ours, paired over seeds and scenes."""
+    columns = (ROW, Column("seeds", "Seeds"), SCORE, *INTERVAL, Column("paper", "Paper"))
+    body: list[Row] = []
+    for row in study.rows:
+        found = difference(study, {row: 1, OURS: -1}) if row != OURS else None
+        known = row in SCORES and row != OURS
+        theirs = SCORES[row]["fscore"] - SCORES[OURS]["fscore"] if known else None
+        score = _over_seeds(study.scores(row).mean(1))
+        seeds = str(len(study.seeds(row)))
+        body.append((row, seeds, score, *_interval_cells(found), Number(theirs, "+.3f")))
+    caption = (
+        "F-score of each row against ours: mean difference, 95 % interval and p-value of a crossed "
+        "bootstrap over seeds and test scenes (p-values are not corrected for their number), and "
+        "the paper's difference."
+    )
+    return Table("comparison", caption, columns, _with_best([body], columns))
+
+
+def _interval_cells(found: Estimate | None) -> list[Number]:
+    if found is None:
+        return [Number(None)] * 4
+    bounds = [Number(value, "+.3f") for value in (found.mean, found.low, found.high)]
+    return [*bounds, Number(found.p, ".4f")]
+
+
+def orderings_table(study: Study) -> Table:
+    """The paper's orderings: does each hold, and how sure is it?"""
+    columns = (
+        Column("claim", "Ordering"),
+        *INTERVAL,
+        Column("paper", "Paper"),
+        Column("mean", "In the mean"),
+        Column("verdict", "With 95 %"),
+    )
+    families: dict[str, list[Row]] = {}
+    for ordering in ORDERINGS:
+        found = difference(study, ordering.weights)
+        mean = "missing" if found is None else "holds" if found.mean > 0 else "does not hold"
+        numbers = _interval_cells(found)
+        theirs = Number(ordering.paper, "+.3f")
+        families.setdefault(ordering.family, []).append(
+            (ordering.claim, *numbers, theirs, mean, verdict(found))
+        )
+    caption = (
+        "The orderings of the paper's F-scores. A difference above zero agrees with the paper; "
+        "undecided: the interval includes zero."
+    )
+    return Table("orderings", caption, columns, tuple(map(tuple, families.values())))
+
+
+def seed_table(study: Study) -> Table:
+    """The F-score of each row by seed."""
+    seeds = study.seeds()
+    columns = (ROW, *(Column(f"seed_{s}", f"Seed {s}") for s in seeds), Column("mean", "Mean"))
+    body: list[Row] = []
+    for row in study.rows:
+        each = {seed: float(study.scores(row, seeds=[seed]).mean()) for seed in study.seeds(row)}
+        cells = [Number(each.get(seed)) for seed in seeds]
+        body.append((row, *cells, _over_seeds(np.array([*each.values()]))))
+    return Table("seeds", "F-score by seed.", columns, (tuple(body),))
+
+
+def scene_table(study: Study) -> Table:
+    """The F-score of each row by test scene, over seeds."""
+    columns = (ROW, *(Column(scene, scene) for scene in study.scenes))
+    body: list[Row] = [
+        (row, *(_over_seeds(values) for values in study.scores(row).T)) for row in study.rows
+    ]
+    return Table("scenes", "F-score by test scene, over seeds.", columns, (tuple(body),))
+
+
+def runs_table(study: Study, row: str | None = None) -> Table:
+    """Every score of every run and scene, or of those of one row."""
+    columns = (ROW, Column("seed", "Seed"), Column("scene", "Scene"), *_metrics(""))
+    body: list[Row] = [
+        (name, str(seed), scene, *(Number(scores[key]) for key, _, _ in COLUMNS))
+        for name in (study.rows if row is None else [row])
+        for seed in study.seeds(name)
+        for scene, scores in study.runs[name, seed].scenes.items()
+    ]
+    return Table("runs", "Every run and scene.", columns, (tuple(body),))

@@ -1,0 +1,111 @@
+"""Building scene directories in parallel: each is whole or absent, and none stops the others."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from tf_lab.errors import TFLabError
+from tf_lab.support.files import atomic_directory, held, remove_abandoned
+from tf_lab.support.processes import end_with
+from tf_lab.support.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """A scene to build: its final directory, and what writes it into a temporary one."""
+
+    directory: Path
+    build: Callable[[Path], None]
+
+
+def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = None) -> None:
+    """`build_scenes` for data of our own, which has no excuse to fail.
+
+    Raises:
+        TFLabError: some scenes failed (after all others were built); names them.
+    """
+    failed = build_scenes(jobs, title, workers)
+    if failed:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
+        raise TFLabError(f"{len(failed)} of {len(jobs)} scenes failed: {reasons}")
+
+
+def build_scenes(
+    jobs: Sequence[SceneJob], title: str, workers: int | None = None
+) -> dict[str, str]:
+    """Build the scenes that do not exist yet, one process a scene.
+
+    Args:
+        jobs: the scenes; existing directories are kept as they are.
+        title: for the progress bar.
+        workers: processes; None: one a core.
+
+    Returns:
+        Why which scene could not be built, by its directory's name.
+    """
+    missing = [job for job in jobs if not job.directory.is_dir()]
+    if not missing:
+        return {}
+    with contextlib.ExitStack() as locks:
+        for folder in sorted({job.directory.parent for job in missing}):
+            locks.enter_context(held(folder, "prepares"))
+            remove_abandoned(folder)
+        missing = [job for job in missing if not job.directory.is_dir()]
+        tasks = {job.directory.name: partial(_build, job) for job in missing}
+        return run_tasks(tasks, title, workers) if tasks else {}
+
+
+def run_tasks(
+    tasks: Mapping[str, Callable[[], None]], title: str, workers: int | None = None
+) -> dict[str, str]:
+    """Run named tasks in processes; one that fails does not stop the others.
+
+    Args:
+        tasks: picklable.
+        title: for the progress bar.
+        workers: processes; None: one a core.
+
+    Returns:
+        Why which task failed, by its name.
+    """
+    workers = min(workers or os.cpu_count() or 1, len(tasks))
+    failed: dict[str, str] = {}
+    context = multiprocessing.get_context("spawn")
+    with (
+        progress_bar() as bar,
+        ProcessPoolExecutor(workers, mp_context=context, initializer=_worker) as pool,
+    ):
+        row = bar.add_task(title, total=len(tasks))
+        futures = {pool.submit(task): name for name, task in tasks.items()}
+        for future in as_completed(futures):
+            try:
+                future.result()
+            except TFLabError as error:
+                failed[futures[future]] = str(error)
+            except (MemoryError, BrokenProcessPool):
+                failed[futures[future]] = "a process ran out of memory; use fewer data.workers"
+            bar.advance(row)
+    return failed
+
+
+def _worker() -> None:
+    """Start of a worker process: one thread, and no life after a killed parent."""
+    torch.set_num_threads(1)
+    end_with(os.getppid())
+
+
+def _build(job: SceneJob) -> None:
+    if job.directory.is_dir():  # another process was faster
+        return
+    with atomic_directory(job.directory) as temporary:
+        job.build(temporary)

@@ -1,0 +1,166 @@
+"""What a training starts from (``init``): the weights of a checkpoint, or the state of a training.
+
+Weights (``model.safetensors``) are trained on from step 0, by an optimiser that knows nothing yet:
+fine-tuning. A state (``last.ckpt``) has the optimiser's moments and the step, too: the training
+goes on where that one stood, up to ``optimizer.steps``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
+
+from tf_lab.errors import TFLabError
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.network.encoders.weights import read_state_dict
+from tf_lab.network.network import Network, NetworkConfig
+
+Config = Mapping[str, Any]
+SHIPPED = "shipped"
+BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
+OPTIMIZER = "optimizer"  # among the hyperparameters of a state
+
+
+def initial_path(config: Config) -> Path | None:
+    """The file that ``init`` names, if it names one."""
+    name = config.get("init")
+    if not name:
+        return None
+    return shipped_checkpoint() if name == SHIPPED else Path(str(name)).expanduser()
+
+
+def initial_digests(config: Config) -> dict[str, str]:
+    """Hashes of what is in the files that a training starts from.
+
+    Raises:
+        TFLabError: one cannot be read.
+    """
+    digests = {}
+    path, weights = initial_path(config), config["encoder"]["weights"]
+    if path is not None:
+        digests["init"] = _digest(read_state(path) if _is_state(path) else _weights(path))
+    elif weights not in BUILT_IN:
+        digests["encoder"] = _digest(read_state_dict(Path(weights)))
+    return digests
+
+
+def initial_state(config: Config) -> Path | None:
+    """The state that a training goes on from, if ``init`` names one."""
+    path = initial_path(config)
+    return path if path is not None and _is_state(path) else None
+
+
+def initialise(network: Network, path: Path) -> None:
+    """Give a network the weights of a checkpoint; of a state, only check that it fits.
+
+    Raises:
+        TFLabError: it cannot be read, or is of another network; the first misfit is named.
+    """
+    if _is_state(path):
+        theirs = NetworkConfig(**read_state(path)["hyper_parameters"]["network"])
+        state = None
+    else:
+        other, _ = load_network(path)
+        theirs, state = other.config, other.state_dict()
+    misfit = _misfit(_plain(asdict(theirs)), _plain(asdict(network.config)))
+    if misfit:
+        raise TFLabError(
+            f"init={path}: of another network: {misfit}; give the settings that it was trained "
+            "with, such as model.heads=1 (conf/model, conf/inputs, conf/row)"
+        )
+    if state is not None:
+        network.load_state_dict(state)
+
+
+def check_state(path: Path, settings: Mapping[str, Any]) -> None:
+    """That a training of these optimiser settings may go on from a state.
+
+    Raises:
+        TFLabError: it has all its steps already, or an optimiser of other settings.
+    """
+    state = read_state(path)
+    theirs = state["hyper_parameters"].get(OPTIMIZER)
+    if theirs is None:
+        raise TFLabError(f"init={path}: does not say how it was trained; train it again")
+    steps = settings["steps"]
+    if state["global_step"] >= steps:
+        done = state["global_step"]
+        raise TFLabError(f"init={path}: is at step {done} of optimizer.steps={steps}; give more")
+    misfit = _misfit({**_plain(theirs), "steps": steps}, _plain(settings))
+    if misfit:
+        raise TFLabError(
+            f"init={path}: a state goes on with its optimizer, of which {misfit}; to train its "
+            "weights otherwise give model.safetensors beside it"
+        )
+
+
+def read_state(path: Path) -> dict[str, Any]:
+    """The state of a training.
+
+    Raises:
+        TFLabError: it is missing, or damaged.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        return {**state, "global_step": int(state["global_step"])}
+    except FileNotFoundError as error:
+        raise TFLabError(f"{path}: no such file; give last.ckpt of a training") from error
+    except Exception as error:  # any damage
+        raise TFLabError(
+            f"{path}: damaged, or no state of a training ({type(error).__name__})"
+        ) from error
+
+
+def _is_state(path: Path) -> bool:
+    return path.suffix == ".ckpt"
+
+
+def _weights(path: Path) -> dict[str, Tensor]:
+    load_network(path)  # says what is wrong with it
+    return load_file(path)
+
+
+def _digest(state: Mapping[str, Any]) -> str:
+    """A hash of the tensors and the step in it, whatever else it says."""
+    digest = hashlib.sha256()
+    for name, value in _leaves(state):
+        if isinstance(value, Tensor):
+            digest.update(f"{name} {value.dtype} {list(value.shape)}\0".encode())
+            digest.update(value.detach().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+        elif name == ".global_step":
+            digest.update(f"{name} {value}\0".encode())
+    return digest.hexdigest()[:16]
+
+
+def _leaves(state: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    items = state.items() if isinstance(state, Mapping) else enumerate(state)
+    for key, value in sorted((str(k), v) for k, v in items):
+        if isinstance(value, Mapping | list):
+            yield from _leaves(value, f"{name}.{key}")
+        else:
+            yield f"{name}.{key}", value
+
+
+def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """With lists for tuples."""
+    return json.loads(json.dumps(settings))
+
+
+def _misfit(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> str:
+    """The first setting in which they differ, in words; nothing if there is none."""
+    for name, value in ours.items():
+        other = theirs.get(name, value)  # one that an older version did not have
+        if isinstance(value, dict):
+            if inner := _misfit(other, value):
+                return f"{name}.{inner}"
+        elif other != value:
+            return f"{name} is {other} there and {value} here"
+    return ""

@@ -1,0 +1,180 @@
+"""Paths and names are taken from the command line as they stand, whatever they look like."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.cli.text_settings import LISTS, NAMES, PATHS, quote_words, settle
+from tf_lab.errors import TFLabError
+
+CONF = Path(conf_dir())
+ODD = (
+    *("20240101", "2024_01_01", "1234e56", "-5", "0x1f", "nan", "true", "No", "NULL", "1:2"),
+    *("Küche (1)", "a=b", "x#1", "Müller, Hans", "two  blanks", " blank ", "[1]", "{a,b}"),
+    *("${seed}", "\\${seed}", "it's", 'a "b"', "back\\slash", "back\\", "%d*?", "日本"),
+)
+
+
+def composed(command: str, *words: str, sweeps: bool = False) -> dict[str, Any]:
+    """What a command gets for these words of its command line."""
+    quoted = list(quote_words(words, sweeps).values())
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        cfg = compose(command, quoted)
+    settle(cfg)
+    return plain(cfg)
+
+
+def of(config: dict[str, Any], name: str) -> Any:
+    for part in name.split("."):
+        config = config[part]
+    return config
+
+
+@pytest.mark.parametrize("text", ODD)
+def test_as_it_stands(text: str) -> None:
+    assert composed("reconstruct", f"input={text}")["input"] == text
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "others"),
+    [
+        ("reconstruct", "checkpoint", ()),
+        ("reconstruct", "output", ()),
+        ("reconstruct", "format", ()),
+        ("evaluate", "predictions", ("groundtruth=a",)),
+        ("evaluate", "groundtruth", ("predictions=a",)),
+        ("evaluate", "output", ("predictions=a", "groundtruth=a")),
+        ("report", "runs", ()),
+        ("report", "study", ()),
+        ("benchmark", "output", ()),
+        ("pretrain", "output", ()),
+        ("pretrain", "data.root", ()),
+        ("pretrain", "real", ()),
+        ("train", "init", ()),
+        ("prepare", "shards", ()),
+        ("prepare", "data.root", ("data=captures",)),
+        ("prepare", "data.scenes", ("data=captures", "data.root=a")),
+        ("prepare", "data.format", ("data=captures", "data.root=a")),
+        ("train", "output", ()),
+        ("train", "data.root", ("data=scannet",)),
+        ("train", "data.urls", ("data=shards",)),
+        ("train", "data.val", ("data=captures", "data.root=a")),
+        ("train", "encoder.weights", ()),
+        ("train", "model.name", ()),
+        ("train", "logger.project", ("logger=wandb",)),
+    ],
+)
+def test_everywhere(command: str, name: str, others: tuple[str, ...]) -> None:
+    for text in ("2024_01_01", "Müller (1) a=b #$x" if name in LISTS else "Müller, (1) a=b #$x"):
+        assert of(composed(command, *others, f"{name}={text}"), name) == text
+
+
+@settings(max_examples=25)
+@given(st.text(st.sampled_from("\\'\"${}[](),=~#: \taä0_."), min_size=1, max_size=9))
+def test_any_text(text: str) -> None:
+    """Also where another setting is made of it."""
+    if not text.strip() or text.startswith("~") or (text[0] in "'\"" and text[-1] == text[0]):
+        return  # empty, expanded, or quoted for Hydra
+    data = composed("prepare", "data=captures", f"data.root={text}")["data"]
+    assert (data["root"], data["scenes"]) == (text, f"{text}/tf_lab")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("[2024_05_01,kitchen]", ["2024_05_01", "kitchen"]),
+        ("[ true , 'a, b',\"c\"]", ["true", "a, b", "c"]),
+        ("[Küche (1),x=y,null]", ["Küche (1)", "x=y", "null"]),
+        ("[a[0-3],{b,c}/d]", ["a[0-3]", "{b,c}/d"]),
+        ("[]", []),
+        ("scenes.txt", "scenes.txt"),
+    ],
+)
+def test_lists_are_of_texts(value: str, expected: list[str] | str) -> None:
+    words = ("data=captures", "data.root=a", f"data.test={value}")
+    assert composed("train", *words)["data"]["test"] == expected
+
+
+def test_null_and_quotes_and_interpolations_can_still_be_said() -> None:
+    assert composed("reconstruct", "input=null")["input"] is None
+    assert composed("reconstruct", "input='a b'")["input"] == "a b"
+    assert composed("reconstruct", 'input="x${seed}"')["input"] == "x0"
+
+
+def test_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/${me}")
+    monkeypatch.setenv("TF_LAB_CACHE", "~/cache")
+    home = "/home/${me}"
+    config = composed("reconstruct", "input=~/a, b", 'checkpoint="~/x"', "output=a/~b.ply")
+    assert (config["input"], config["checkpoint"]) == (f"{home}/a, b", f"{home}/x")
+    assert config["output"] == "a/~b.ply"
+    assert config["data"]["root"] == f"{home}/cache"
+    assert composed("report", "runs=[~/a,b]")["runs"] == [f"{home}/a", "b"]
+
+
+@pytest.mark.parametrize("word", ["input=", "data.root= ", "+output="])
+def test_an_empty_text_is_told(word: str) -> None:
+    """As an unset variable of the shell makes it."""
+    with pytest.raises(TFLabError, match="is empty"):
+        quote_words([word], sweeps=False)
+
+
+def test_in_a_sweep_commas_separate(tmp_path: Path) -> None:
+    def swept(word: str) -> str:
+        return quote_words([word], sweeps=True)[word]
+
+    assert swept("data.root=2024_01_01, b c") == "data.root='2024_01_01',b c"
+    assert swept("data.test=[a,1],[b]") == "data.test=[a,'1'],[b]"
+    assert swept("encoder.weights=choice(none,rooms)") == "encoder.weights=choice(none,rooms)"
+    assert swept("data.root='a,b'") == "data.root='a,b'"
+    assert swept("output=a,b") == "output='a,b'"  # a sweep has one
+    (tmp_path / "a,b").mkdir()
+    assert swept(f"data.root={tmp_path}/a,b") == f"data.root='{tmp_path}/a,b'"
+
+
+def test_a_number_from_a_file_is_told() -> None:
+    for value in ("20240101", "true", "[a]"):
+        with pytest.raises(TFLabError, match=r"input=.*must be text"):
+            settle(OmegaConf.create(yaml.safe_load(f"input: {value}")))
+
+
+def test_what_is_declared_exists() -> None:
+    """In the config of a command, or in a choice for it."""
+    missing = {*PATHS, *NAMES, *LISTS}
+    for command, *choices in (
+        *([path.stem] for path in CONF.glob("*.yaml")),
+        *(("train", "data=captures", "logger=wandb"), ("train", "data=shards")),
+    ):
+        with initialize_config_dir(conf_dir(), version_base="1.3"):
+            config = OmegaConf.to_container(compose(command, choices))
+        missing = {name for name in missing if not has(config, name)}
+    assert missing == set()
+
+
+def has(config: Any, name: str) -> bool:
+    for part in name.split("."):
+        if not isinstance(config, dict) or part not in config:
+            return False
+        config = config[part]
+    return True
+
+
+def test_from_a_shell(tmp_path: Path) -> None:
+    """A process, started by a line as people type it."""
+    folder = tmp_path / "Küche, (1) #a=b"
+    (folder / "2024_01_01").mkdir(parents=True)
+    line = f"'{sys.executable}' -m tf_lab.evaluate predictions=2024_01_01 groundtruth=\"$PWD\"/true"
+    done = subprocess.run(["bash", "-c", line], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == f"error: {folder}/true: no such folder; give the folder of all " + (
+        "ground truths\n"
+    )

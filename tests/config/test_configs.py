@@ -1,0 +1,212 @@
+"""Every shipped config composes, `model=paper` says what the paper says, and all are found."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+
+from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config import build as configuration
+from tf_lab.errors import TFLabError
+from tf_lab.online import ReconstructionSettings
+
+CONF = Path(conf_dir())
+REPOSITORY = Path(__file__).resolve().parents[2]
+OPTIONS = sorted(
+    f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.parent != CONF
+)
+COMMANDS = sorted(path.stem for path in CONF.glob("*.yaml"))
+
+
+def composed(name: str = "train", *overrides: str) -> dict[str, Any]:
+    """A resolved config, as the command's function gets it."""
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        cfg = compose(name, overrides=list(overrides))
+    return plain(cfg)
+
+
+# what the user has to say beside an option
+NEEDED = {"data=captures": "data.root=captures", "data=shards": "data.urls=shards"}
+
+
+@pytest.fixture
+def any_launcher() -> None:
+    """Ray's launcher pins old packages, so that it is not installed with the tests."""
+    node = {"_target_": "ray", "ray": {"init": {"address": None}, "remote": {}}}  # as its own
+    ConfigStore.instance().store(group="hydra/launcher", name="ray", node=node)
+
+
+@pytest.mark.usefixtures("any_launcher")
+@pytest.mark.parametrize("option", OPTIONS)
+def test_every_option_composes_and_is_accepted(option: str) -> None:
+    config = composed("train", option, *(NEEDED[o] for o in [option] if o in NEEDED))
+    configuration.chunk_settings(config)
+    configuration.optimizer_settings(config)
+    configuration.test_settings(config)
+    assert isinstance(config["seed"], int)
+
+
+@pytest.mark.usefixtures("any_launcher")
+def test_ray_is_told_what_a_job_needs() -> None:
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        words = ["launcher=ray", "launcher.cpus=4"]
+        launcher = plain(compose("train", words, return_hydra_config=True).hydra.launcher)
+    assert launcher["ray"] == {"init": {"address": None}, "remote": {"num_gpus": 1, "num_cpus": 4}}
+
+
+def test_the_groups_of_the_contract_exist() -> None:
+    for option in (
+        *("fusion=transformer", "fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
+        "inputs=matching",
+        *("model=tiny", "model=small", "model=paper", "select=attn", "select=rnd"),
+        "encoder=efficientnet_lite0",
+        *("logger=csv", "logger=tensorboard", "logger=wandb", "logger=wandb_offline"),
+        *("launcher=local", "launcher=slurm", "launcher=ray"),
+        *("sweep=main_ablation", "sweep=inputs", "sweep=views", "sweep=all"),
+    ):
+        assert option in OPTIONS
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_composes(name: str) -> None:
+    needed = {"evaluate": ["predictions=a", "groundtruth=b"], "check": ["input=a"]}
+    given = needed.get(name, [])
+    assert composed(name, *given)
+
+
+def test_an_ablation_changes_one_thing() -> None:
+    ours = composed()
+    for option, path, value in (
+        ("fusion=avg", ("fusion", "strategy"), "avg"),
+        ("fusion=pred", ("fusion", "strategy"), "pred"),
+        ("inputs=no_depth", ("inputs", "depth"), False),
+        ("inputs=no_ray", ("inputs", "ray"), False),
+        ("inputs=matching", ("inputs", "matching"), True),
+        ("refine=false", ("refine",), False),
+        ("filter=false", ("filter",), False),
+        ("select=rnd", ("select", "policy"), "random"),
+        ("views=4", ("views",), 4),
+    ):
+        changed = composed("train", option)
+        part = changed
+        for key in path[:-1]:
+            part = part[key]
+        assert part[path[-1]] == value
+        # with that one value put back, nothing else differs
+        original: Any = ours
+        for key in path:
+            original = original[key]
+        part[path[-1]] = original
+        assert changed == ours, option
+
+
+def test_paper_is_the_paper() -> None:
+    """Sec. 3.1, 3.4 and 3.5: each number as it is printed there."""
+    config = composed("train", "model=paper")
+    model, encoder = config["model"], config["encoder"]
+    assert (model["width"], model["blocks"], model["heads"]) == (256, 8, 4)
+    assert (config["fusion"]["strategy"], config["refine"], config["filter"]) == (
+        *("transformer", True),
+        True,
+    )
+    assert config["inputs"] == {"depth": True, "ray": True, "matching": False}
+    # ResNet-18 (He et al. 2016, table 1), pre-trained on ImageNet
+    assert encoder["name"] == "resnet"
+    assert (encoder["blocks"], encoder["width"], encoder["norm"]) == ([2, 2, 2, 2], 64, "batch")
+    assert (encoder["stem_stride"], encoder["stem_pool"]) == (2, True)
+    assert encoder["weights"] == "imagenet"
+    assert encoder["unit_norm"] is False
+    optimizer = config["optimizer"]
+    assert (optimizer["lr"], optimizer["betas"], optimizer["eps"]) == (1e-4, [0.9, 0.999], 1e-8)
+    assert (optimizer["weight_decay"], optimizer["warmup"]) == (1e-4, 5000)
+    assert (optimizer["schedule"], optimizer["clip"]) == ("inverse_sqrt", 0)
+    training = config["training"]
+    assert (training["chunks"], training["images"], training["views"]) == (4, 8, [])
+    assert config["optimizer"]["encoder_factor"] == 1
+    assert (training["points"], training["near_share"]) == (1000, 0.8)
+    assert training["sdf_weight"] == 0
+    assert (config["views"], config["resolution"], config["threshold"]) == (16, 0.02, 0.5)
+    assert config["keyframe_distance"] == 0.1
+
+
+@pytest.mark.parametrize("model", ["tiny", "small"])
+@pytest.mark.parametrize("encoder", [None, "efficientnet_lite0"])
+def test_a_model_takes_any_encoder(model: str, encoder: str | None) -> None:
+    """Its maps are the model's; what makes them is the encoder's."""
+    words = [] if encoder is None else [f"encoder={encoder}"]
+    config = composed("train", f"model={model}", *words, "encoder.weights=none")
+    assert config["encoder"]["name"] == (encoder or "resnet")
+    network = configuration.make_network(config)
+    maps = network.encode(torch.zeros(1, 3, 32, 48))
+    for level, stride in (("coarse", 8), ("fine", 2)):
+        channels = config["encoder"][f"{level}_channels"]
+        assert maps[level].shape == (1, channels, 32 // stride, 48 // stride)
+    assert ("width" in config["encoder"]) == (encoder is None)  # nothing of the other's is left
+
+
+def test_the_papers_schedule() -> None:
+    """Linear to 1e-4 over 5k steps, then with the inverse square root of the step."""
+    settings = configuration.optimizer_settings(composed("train", "model=paper"))
+    assert settings.factor(2499) == pytest.approx(0.5)
+    assert settings.factor(4999) == pytest.approx(1)
+    assert settings.factor(19_999) == pytest.approx(0.5)
+    assert settings.factor(124_999) == pytest.approx(0.2)
+
+
+def test_the_cosine_schedule_ends_at_zero() -> None:
+    settings = configuration.optimizer_settings(
+        composed("train", "optimizer.steps=1000", "optimizer.warmup=50")
+    )
+    assert settings.schedule == "cosine"
+    assert settings.factor(24) == pytest.approx(0.5)
+    assert settings.factor(525) == pytest.approx(0.5, abs=1e-6)
+    assert settings.factor(1000) == pytest.approx(0, abs=1e-6)
+
+
+def test_configs_are_found_from_any_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = composed()
+    monkeypatch.chdir(tmp_path)
+    assert composed() == here
+    assert Path(conf_dir()).is_absolute()
+
+
+@pytest.mark.slow
+def test_the_wheel_has_configs_and_weights(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", str(tmp_path), "."]
+    subprocess.run(build, cwd=REPOSITORY, check=True, timeout=300)
+    (wheel,) = tmp_path.glob("tf_lab-*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    expected = [f"tf_lab/conf/{p.relative_to(CONF)}" for p in CONF.rglob("*.yaml")]
+    expected += [f"tf_lab/conf/sweep/{p.name}" for p in (CONF / "sweep").glob("*.yaml")]
+    expected += ["tf_lab/conf/sweep/all.yaml", "tf_lab/conf/sweep/wandb/main_ablation.yaml"]
+    weights = REPOSITORY / "src" / "tf_lab" / "weights"
+    expected += [f"tf_lab/weights/{p.name}" for p in weights.glob("*") if p.is_file()]
+    assert [name for name in expected if name not in names] == []
+
+
+def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
+    options = {"precision": "bfloat16", "maps_device": "cpu", "maps_budget": 0.5, "batch": 7}
+    overrides = [f"online.{name}={value}" for name, value in options.items()]
+    for command in ("train", "reconstruct"):
+        found = configuration.test_settings(composed(command, *overrides)).reconstruction
+        assert (found.precision, found.maps, found.maps_device) == ("bfloat16", "bfloat16", "cpu")
+        assert (found.maps_budget, found.batch) == (2**29, 7)
+        default = configuration.test_settings(composed(command)).reconstruction
+        assert default == ReconstructionSettings(views=16)
+    assert composed("benchmark")["online"] == {**composed()["online"], "precision": "auto"}
+
+
+@pytest.mark.parametrize(
+    "wrong", ["precision=int8", "maps_device=tpu3", "maps_budget=0", "maps_budget=-1", "batch=0"]
+)
+def test_what_cannot_be_computed_with_is_told(wrong: str) -> None:
+    with pytest.raises(TFLabError, match=wrong.removeprefix("maps_d").split("=")[0]):
+        configuration.test_settings(composed("train", f"online.{wrong}"))

@@ -1,0 +1,188 @@
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.pictures import compare, loss_curve
+from tf_lab.meshes.raycast import CLAY, cast, overview_camera, render_mesh
+
+
+def furnished_room() -> trimesh.Trimesh:
+    """A room of 5 x 4 x 2.6 m: the shell seen from inside, a table, a bed, a shelf, a lamp."""
+    shell = trimesh.creation.box((5, 4, 2.6))
+    shell.invert()
+    shell.apply_translation((2.5, 2, 1.3))
+
+    def box(size: tuple[float, float, float], at: tuple[float, float, float]) -> trimesh.Trimesh:
+        part = trimesh.creation.box(size)
+        part.apply_translation(np.array(at) + np.array(size) * (0, 0, 0.5))
+        return part
+
+    legs = [box((0.08, 0.08, 0.7), (x, y, 0)) for x in (1.05, 2.15) for y in (1.2, 1.8)]
+    furniture = [
+        box((1.3, 0.8, 0.06), (1.6, 1.5, 0.7)),
+        box((1.5, 2.0, 0.45), (4.2, 2.9, 0)),
+        box((0.6, 0.4, 0.12), (4.2, 3.6, 0.45)),
+        box((1.6, 0.4, 1.9), (1.2, 3.79, 0)),
+        box((0.45, 0.45, 0.45), (1.6, 0.7, 0)),
+        box((0.8, 0.8, 0.8), (4.5, 0.5, 0)),
+    ]
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.2)
+    ball.apply_translation((1.5, 1.5, 0.96))
+    return sum([*legs, *furniture, ball], start=shell).subdivide_to_size(0.12)
+
+
+def frontal(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """A camera at height 10 that looks straight down, 100 pixels a metre at height 0."""
+    K = np.array([[1000.0, 0, (size[0] - 1) / 2], [0, 1000.0, (size[1] - 1) / 2], [0, 0, 1]])
+    world_T_cam = np.diag([1.0, -1.0, -1.0, 1.0])
+    world_T_cam[2, 3] = 10
+    return K, world_T_cam
+
+
+def square(half: float, height: float, up: bool = True) -> trimesh.Trimesh:
+    corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + (0, 0, height)
+    faces = [[0, 1, 2], [0, 2, 3]] if up else [[2, 1, 0], [3, 2, 0]]
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
+def covered(image: np.ndarray) -> np.ndarray:
+    return np.asarray((image < 250).any(-1))
+
+
+def test_a_square_falls_on_the_pixels_it_should() -> None:
+    image = render_mesh(square(0.2, 0.0), *frontal((80, 60)), (80, 60))
+    expected = np.zeros((60, 80), bool)
+    expected[10:50, 20:60] = True  # 0.4 m at 100 pixels a metre, about the centre
+    assert image.shape == (60, 80, 3) and image.dtype == np.uint8
+    np.testing.assert_array_equal(covered(image), expected)
+
+
+def test_hits_lie_on_the_surface() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.25)
+    hits = cast(ball, *frontal((60, 60)), (60, 60))
+    radius = np.linalg.norm(hits.points, axis=1)
+    assert len(radius) > 5000 and radius.min() > 0.2485 and radius.max() < 0.25 + 1e-6
+    assert (hits.points[:, 2] > 0).all()  # the near side
+    corners = np.asarray(ball.vertices)[hits.triangles]
+    assert np.linalg.norm(corners.mean(1) - hits.points, axis=1).max() < 0.03  # on their faces
+
+
+def test_corners_are_darker() -> None:
+    """A wall at y = 0.1 m on a floor: less ambient light reaches the floor at its foot."""
+    corners = [[-0.2, 0.1, 0], [0.2, 0.1, 0], [0.2, 0.1, 1], [-0.2, 0.1, 1]]
+    wall = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    floor, camera = square(0.2, 0.0), (*frontal((40, 40)), (40, 40))
+    alone = render_mesh(floor, *camera).mean((1, 2))
+    walled = render_mesh(floor + wall, *camera).mean((1, 2))
+    assert np.ptp(alone) < 1  # a lone floor is evenly lit
+    near, far = walled[10:13].mean(), walled[34:39].mean()  # y falls with the rows
+    assert near < 0.85 * alone[20] and near < 0.95 * far < 0.95 * alone[20]
+
+
+def test_faces_from_behind_and_above_the_cut_are_left_out() -> None:
+    camera = (*frontal((40, 40)), (40, 40))
+    assert not covered(render_mesh(square(0.2, 0.0, up=False), *camera)).any()
+    room = square(0.1, 0.0) + square(0.2, 1.0)
+    assert covered(render_mesh(room, *camera))[3, 3]
+    below = render_mesh(room, *camera, ceiling=0.9)
+    assert covered(below).sum() == 20 * 20  # only the lower, smaller one
+
+
+def test_the_cut_goes_through_faces() -> None:
+    """A tilted square that crosses the cut is seen up to the cut, not as whole faces."""
+    tilted = trimesh.Trimesh(
+        [[-0.1, -0.1, 0], [0.1, -0.1, 1], [0.1, 0.1, 1], [-0.1, 0.1, 0]],
+        [[0, 1, 2], [0, 2, 3]],
+        process=False,
+    )
+    hits = cast(tilted, *frontal((40, 40)), (40, 40), ceiling=0.5)
+    assert hits.points[:, 2].max() == pytest.approx(0.5, abs=0.05)
+    assert hits.points[:, 2].min() == pytest.approx(0, abs=0.05)
+
+
+def test_the_overview_holds_the_whole_room_and_little_else() -> None:
+    room = furnished_room()
+    for turned in (False, True):
+        if turned:
+            room.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (0, 0, 1)))
+        K, world_T_cam, ceiling = overview_camera(room.bounds, (320, 240))
+        corners = trimesh.bounds.corners(room.bounds)
+        corners[:, 2] = np.minimum(corners[:, 2], ceiling)
+        camera = (corners - world_T_cam[:3, 3]) @ world_T_cam[:3, :3]
+        pixels = (camera / camera[:, 2:]) @ K.T
+        assert np.linalg.det(world_T_cam[:3, :3]) == pytest.approx(1)
+        assert (pixels[:, :2] >= 0).all() and (pixels[:, :2] <= (319, 239)).all()
+        extent = np.ptp(pixels[:, :2], axis=0) / (320, 240)
+        assert extent.max() == pytest.approx(0.96)
+        assert world_T_cam[2, 3] > room.bounds[1, 2]  # from above
+
+
+def test_vertex_colors_show() -> None:
+    red = np.tile(np.array([200, 0, 0], np.uint8), (4, 1))
+    image = render_mesh(square(0.2, 0.0), *frontal((40, 40)), (40, 40), vertex_colors=red)
+    assert image[20, 20, 0] > 100 and (image[20, 20, 1:] == 0).all()
+    clay = render_mesh(square(0.2, 0.0), *frontal((40, 40)), (40, 40))[20, 20] / 255
+    np.testing.assert_allclose(clay / clay[2], np.array(CLAY) / CLAY[2], atol=0.01)
+
+
+def test_an_empty_mesh_is_a_white_picture() -> None:
+    image = render_mesh(trimesh.Trimesh(), *frontal((40, 30)), (40, 30), ceiling=1.0)
+    assert image.shape == (30, 40, 3) and (image == 255).all()
+
+
+def test_compare_writes_one_picture(tmp_path: Path) -> None:
+    room, size = furnished_room(), (160, 120)
+    frames = [np.full((12, 16, 3), 30 * i, np.uint8) for i in range(8)]
+    moved = room.copy()
+    moved.apply_translation((0, 0, 0.1))
+    compare(moved, room, frames, tmp_path / "full.png", "room", fscore=0.5, size=size)
+    compare(trimesh.Trimesh(), room, frames[:1], tmp_path / "empty.png", "room", 0.0, size)
+    compare(room, None, [], tmp_path / "alone.png", "room", size=size)
+    shapes = [np.asarray(Image.open(tmp_path / f"{n}.png")).shape for n in ("full", "alone")]
+    assert shapes[0][1] > 2 * shapes[1][1]  # three panels and one
+    assert {p.name for p in tmp_path.iterdir()} == {"full.png", "empty.png", "alone.png"}
+    with pytest.raises(TFLabError, match=r"none\.png: there is no surface"):
+        compare(trimesh.Trimesh(), None, frames, tmp_path / "none.png", "room")
+
+
+def write_csv(path: Path, rows: list[dict[str, object]], columns: list[str]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def test_loss_curve_from_a_log_with_gaps(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows: list[dict[str, object]] = []
+    for step in range(0, 2000, 10):
+        loss = 1.8 * np.exp(-step / 700) + 0.4
+        noise = rng.lognormal(0, 0.15, 3)
+        parts = dict(zip(("train/coarse", "train/fine"), loss * noise[:2] / 3, strict=True))
+        rows.append({"step": step, "epoch": 0, "train/loss": loss * noise[2], **parts})
+        if step % 400 == 390:
+            rows.append({"step": step, "val/fscore": 0.7 * (1 - np.exp(-step / 900))})
+    rows.append({"step": 2000, "train/loss": "nan"})
+    columns = ["epoch", "step", "train/loss", "train/coarse", "train/fine", "val/fscore"]
+    write_csv(tmp_path / "metrics.csv", rows, columns)
+    loss_curve([tmp_path / "metrics.csv"], tmp_path / "loss.png")
+    assert np.asarray(Image.open(tmp_path / "loss.png")).std() > 5
+
+
+@pytest.mark.parametrize("column", ["train/loss", "val/fscore"])
+def test_loss_curve_of_one_column_and_one_row(tmp_path: Path, column: str) -> None:
+    write_csv(tmp_path / "metrics.csv", [{"step": 0, column: 0.5}], ["step", column])
+    loss_curve([tmp_path / "metrics.csv"], tmp_path / "loss.png")
+    assert (tmp_path / "loss.png").exists()
+
+
+def test_loss_curve_without_anything_to_draw(tmp_path: Path) -> None:
+    write_csv(tmp_path / "metrics.csv", [{"step": 0, "lr": 1}], ["step", "lr"])
+    for name, message in (("metrics.csv", "none of"), ("typo.csv", "cannot be read")):
+        with pytest.raises(TFLabError, match=rf"{name}: {message}"):
+            loss_curve([tmp_path / name], tmp_path / "loss.png")

@@ -1,0 +1,50 @@
+"""Which code made a result: known by its content, as far as results depend on it."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tf_lab.experiments import provenance
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the package, to change."""
+    copy = tmp_path / "tf_lab"
+    shutil.copytree(provenance.PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(provenance, "PACKAGE", copy)
+    return copy
+
+
+def version() -> str:
+    return provenance.code_version.__wrapped__()
+
+
+def test_the_same_code_has_the_same_version_anywhere(package: Path) -> None:
+    assert version() == provenance.code_version()
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        *(("training/losses.py", True), ("data/rooms/walk.py", True), ("meshes/files.py", True)),
+        *(("evaluation/metrics.py", True), ("weights/tiny-encoder.safetensors", True)),
+        *(("report.py", False), ("reporting/tables.py", False), ("weights/tiny.json", False)),
+    ],
+)
+def test_only_what_results_depend_on_counts(package: Path, name: str, counts: bool) -> None:
+    before = version()
+    with (package / name).open("ab") as file:
+        file.write(b"\n")
+    assert (version() != before) == counts
+
+
+def test_what_counts_is_there() -> None:
+    assert [name for name in provenance.CORE if not (provenance.PACKAGE / name).exists()] == []
+
+
+def test_the_record_names_commit_and_code() -> None:
+    record = provenance.provenance()
+    assert record["code"] == provenance.code_version()
+    assert record["commit"] == provenance.commit()

@@ -1,0 +1,126 @@
+"""Reading finished runs, naming damaged ones, keeping small copies."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from made_up_runs import ROWS, SCENES, scores, write_run
+from tf_lab.errors import TFLabError
+from tf_lab.reporting.results import find_runs, keep_run, read_run
+
+
+def test_a_run(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, "fusion=avg", 2, [0.5, 0.6, 0.7, 0.8], commit="abcdef0123456789")
+    run = read_run(folder)
+    assert (run.row, run.seed, run.directory) == ("Ours: w/o TRSF, avg", 2, folder)
+    assert run.scenes == {s: scores(f) for s, f in zip(SCENES, (0.5, 0.6, 0.7, 0.8), strict=True)}
+    assert [maker["commit"] for maker in run.makers] == ["abcdef0123456789"] * 2
+    assert run.finished == 1e9
+
+
+@pytest.mark.parametrize(("row", "overrides"), ROWS.items())
+def test_rows_are_told_from_the_config_and_share_their_settings(
+    tmp_path: Path, row: str, overrides: str
+) -> None:
+    ours = read_run(write_run(tmp_path / "ours", "", 0, [0.5]))
+    folder = write_run(tmp_path, overrides, 1, [0.6])
+    run = read_run(folder.rename(tmp_path / "any name"))
+    assert run.row == row
+    assert run.settings == ours.settings
+
+
+@pytest.mark.parametrize(
+    "other",
+    ["optimizer.steps=7", "data.size=3", "model.width=16", "resolution=0.04", "training.points=9"],
+)
+def test_what_else_differs_makes_runs_incomparable(tmp_path: Path, other: str) -> None:
+    ours = read_run(write_run(tmp_path, "", 0, [0.5]))
+    assert read_run(write_run(tmp_path, other, 0, [0.5])).settings != ours.settings
+
+
+def test_other_scenes_are_incomparable(tmp_path: Path) -> None:
+    one = read_run(write_run(tmp_path / "a", "", 0, [0.5, 0.6]))
+    other = read_run(write_run(tmp_path / "b", "", 0, [0.5, 0.6, 0.7]))
+    assert one.settings != other.settings
+
+
+def test_runs_are_found_in_several_folders(tmp_path: Path) -> None:
+    write_run(tmp_path / "a", "", 0, [0.5])
+    write_run(tmp_path / "b", "", 1, [0.5])
+    (write_run(tmp_path / "b", "", 2, [0.5]) / "metrics.json").unlink()  # not finished
+    runs, damaged = find_runs([tmp_path / "a" / "runs", tmp_path / "b"])
+    assert sorted(run.seed for run in runs) == [0, 1]
+    assert damaged == []
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "said"),
+    [
+        ("metrics.json", '{"scenes": {', "damaged"),
+        ("metrics.json", "[1]", "not a mapping"),
+        ("metrics.json", '{"protocol": "x", "scenes": {}}', "no scene"),
+        ("metrics.json", '{"scenes": {"room": {"acc": 1}}}', "compl"),
+        ("metrics.json", '{"scenes": {"room": null}}', "scenes"),
+        ("metrics.json", json.dumps({"scenes": {"r": scores(float("nan"))}}), "no number"),
+        ("config.yaml", "a: [", "damaged"),
+        ("config.yaml", "", "not a mapping"),
+        ("config.yaml", "seed: 0", "lacks settings"),
+        ("run.json", None, "cannot be read"),
+        ("run.json", "{", "damaged"),
+    ],
+)
+def test_damaged_runs_are_named_and_left_out(
+    tmp_path: Path, file: str, content: str | None, said: str
+) -> None:
+    write_run(tmp_path, "", 0, [0.5])
+    bad = write_run(tmp_path, "", 1, [0.5])
+    if content is None:
+        (bad / file).unlink()
+    else:
+        (bad / file).write_text(content)
+    runs, (line,) = find_runs([tmp_path])
+    assert [run.seed for run in runs] == [0]
+    assert str(bad / file) in line
+    assert said in line
+    assert len(line.splitlines()) == 1
+
+
+def test_no_run_at_all(tmp_path: Path) -> None:
+    with pytest.raises(
+        TFLabError, match=r"no finished run in .*; run: python -m tf_lab\.train sweep="
+    ):
+        find_runs([tmp_path])
+    with pytest.raises(TFLabError, match="no such folder"):
+        find_runs([tmp_path / "absent"])
+    (write_run(tmp_path, "", 1, [0.5]) / "run.json").write_text("{")
+    with pytest.raises(TFLabError, match=r"no finished run.*run\.json: damaged"):
+        find_runs([tmp_path])
+
+
+def test_kept_copies_say_the_same_and_hold_no_place(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, "select=rnd", 1, [0.5, 0.6])
+    (folder / "meshes").mkdir()
+    run = read_run(folder)
+    kept = keep_run(run, tmp_path / "kept")
+    assert kept == tmp_path / "kept" / folder.name
+    assert sorted(path.name for path in kept.iterdir()) == [
+        *("config.yaml", "metrics.json", "run.json")
+    ]
+    for path in kept.iterdir():
+        assert str(tmp_path) not in path.read_text()
+    copy = read_run(kept)
+    assert (copy.row, copy.seed, copy.settings, copy.scenes) == (
+        *(run.row, run.seed, run.settings, run.scenes),
+    )
+    assert [maker["commit"] for maker in copy.makers] == [maker["commit"] for maker in run.makers]
+    origin = json.loads((kept / "run.json").read_text())
+    assert origin["checkpoint"] == "trainings/tiny-seed0-abc/model.safetensors"
+    assert origin["command"] == "python -m tf_lab.train select=rnd"
+    assert (
+        yaml.safe_load((kept / "config.yaml").read_text())["optimizer"] == run.config["optimizer"]
+    )
+    before = (kept / "run.json").read_bytes()
+    assert keep_run(read_run(kept), tmp_path / "kept") == kept  # onto itself
+    assert (kept / "run.json").read_bytes() == before

@@ -1,0 +1,88 @@
+"""Only runs that may be compared share a study."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from made_up_runs import ROWS, SCENES, write_run, write_study
+from tf_lab.errors import TFLabError
+from tf_lab.reporting.studies import open_study
+
+HALF = [0.5, 0.6, 0.7, 0.8]
+
+
+def test_rows_seeds_and_scores(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 1, HALF)
+    write_run(tmp_path, "", 0, [0.1, 0.2, 0.3, 0.4])
+    write_run(tmp_path, "fusion=avg", 1, HALF)
+    write_run(tmp_path, "refine=false views=4", 0, HALF)  # no row of the paper
+    study, remarks = open_study([tmp_path])
+    assert remarks == []
+    assert study.rows == ["Ours: w/o TRSF, avg", "Ours", "Ours: w/o spatial ref., 4 images"]
+    assert study.missing == [row for row in ROWS if row not in ("Ours", "Ours: w/o TRSF, avg")]
+    assert study.scenes == [*SCENES]
+    assert study.seeds() == study.seeds("Ours") == [0, 1]
+    assert study.seeds("Ours", "Ours: w/o TRSF, avg") == [1]
+    assert study.seeds("Ours: w/o view ray") == []
+    np.testing.assert_allclose(study.scores("Ours"), [[0.1, 0.2, 0.3, 0.4], HALF])
+    np.testing.assert_allclose(study.scores("Ours", "prec", [1]), [np.array(HALF) + 0.04])
+    assert study.scores("Ours: w/o view ray").shape == (0, 4)
+
+
+def test_all_rows_come_in_the_papers_order(tmp_path: Path) -> None:
+    runs = write_study(tmp_path, dict.fromkeys(reversed(ROWS), 0.6), seeds=[0])
+    assert open_study([runs])[0].rows == [*ROWS]
+
+
+def test_studies_are_kept_apart(tmp_path: Path) -> None:
+    write_study(tmp_path, {"Ours": 0.6, "Ours: 4 images": 0.5})
+    write_run(tmp_path, "optimizer.steps=7 data.size=3", 0, HALF)
+    write_run(tmp_path, "resolution=0.04", 0, HALF)
+    study, remarks = open_study([tmp_path])
+    assert len(study.runs) == 6
+    assert len(remarks) == 2
+    assert all(len(line.splitlines()) == 1 for line in remarks)
+    (one,) = [line for line in remarks if "optimizer.steps" in line]
+    size, steps = study.settings["data.size"], study.settings["optimizer.steps"]
+    assert f"data.size 3 (not {size}), optimizer.steps 7 (not {steps})" in one
+    (two,) = [line for line in remarks if "resolution" in line]
+    assert "1 runs, with test.resolution 0.04 (not 0.02)" in two
+    # the one asked for, by the key that the remark gives
+    other, _ = open_study([tmp_path], key=one.split()[3].rstrip(","))
+    assert other.settings["optimizer.steps"] == 7
+    with pytest.raises(TFLabError, match=rf"study=none: .*{study.key}"):
+        open_study([tmp_path], key="none")
+
+
+def test_of_the_same_row_and_seed_the_newest_counts(tmp_path: Path) -> None:
+    write_run(tmp_path / "a", "", 0, [0.9], commit="aaaa", written=2e9)
+    write_run(tmp_path / "b", "", 0, [0.1], commit="bbbb", written=1e9)
+    study, (replaced, *mixed) = open_study([tmp_path])
+    assert study.scores("Ours").tolist() == [[0.9]]
+    assert "aaaa" in replaced and "bbbb" in replaced and "seed 0" in replaced
+    assert mixed == []  # all that counts is of one commit
+
+
+def test_a_copy_is_no_duplicate(tmp_path: Path) -> None:
+    write_run(tmp_path / "a", "", 0, [0.9], written=2e9)
+    write_run(tmp_path / "b", "", 0, [0.9], written=1e9)
+    study, remarks = open_study([tmp_path / "a", tmp_path / "b"])
+    assert (len(study.runs), remarks) == (1, [])
+
+
+def test_several_versions_of_the_code_are_said(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 0, [0.9], commit="aaaa")
+    write_run(tmp_path, "", 1, [0.9], commit="bbbb-dirty")
+    _, (line,) = open_study([tmp_path])
+    assert "not all runs were made by the same code: commits aaaa and bbbb-dirty" in line
+
+
+def test_commits_that_change_no_code_do_not_matter(tmp_path: Path) -> None:
+    for seed, commit in enumerate(("aaaa", "bbbb")):
+        run = write_run(tmp_path, "", seed, [0.9], commit=commit)
+        origin = json.loads((run / "run.json").read_text())
+        origin["code"] = origin["training"]["code"] = "the same"
+        (run / "run.json").write_text(json.dumps(origin))
+    assert open_study([tmp_path])[1] == []

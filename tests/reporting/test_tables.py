@@ -1,0 +1,204 @@
+"""The tables hold the numbers that the runs were made of, in every format."""
+
+import csv
+import io
+import re
+import statistics
+from pathlib import Path
+
+import pytest
+
+from made_up_runs import ROWS, SCENES, write_run, write_study
+from tf_lab.reporting.formats import Column, Number, Table, comma_separated, latex, markdown
+from tf_lab.reporting.paper import ABLATIONS, BASELINES, SCORES
+from tf_lab.reporting.studies import Study, open_study
+from tf_lab.reporting.tables import (
+    comparison_table,
+    inputs_table,
+    main_table,
+    orderings_table,
+    runs_table,
+    scene_table,
+    seed_table,
+    short_table,
+)
+
+ALL = (
+    *(main_table, inputs_table, comparison_table, orderings_table),
+    *(seed_table, scene_table, runs_table, short_table),
+)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """All rows with three seeds, but: one row without a run, one with one seed, one of our own."""
+    output = tmp_path_factory.mktemp("outputs")
+    means = {row: SCORES[row]["fscore"] for row in ROWS}
+    del means["Ours: w/o view ray"]
+    single = {"Ours: w/o C2F filter": means.pop("Ours: w/o C2F filter")}
+    write_study(output, means)
+    write_study(output, single, seeds=[0])
+    for seed in range(3):
+        write_run(output, "fusion=avg refine=false", seed, [0.2, 0.3, 0.4, 0.5])
+    return open_study([output])[0]
+
+
+def cells(table: Table) -> dict[str, list[str]]:
+    """The cells of the Markdown by the first of their row."""
+    _, _, *lines = markdown(table).splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {row[0]: row[1:] for row in rows}
+
+
+def records(table: Table) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(comma_separated(table))))
+
+
+def test_mean_and_deviation_over_seeds(study: Study) -> None:
+    means = []
+    for seed in range(3):
+        scenes = study.runs["Ours", seed].scenes.values()
+        means.append(statistics.fmean(scene["fscore"] for scene in scenes))
+    mean, spread = statistics.fmean(means), statistics.stdev(means)
+    assert mean == pytest.approx(0.655)  # as it was made
+    assert cells(main_table(study))["Ours"][5] == f"**{mean:.3f}** ± {spread:.3f}"
+    (record,) = (r for r in records(main_table(study)) if r["row"] == "Ours")
+    assert float(record["fscore"]) == pytest.approx(mean, abs=1e-6)
+    assert float(record["fscore_deviation"]) == pytest.approx(spread, abs=1e-6)
+    assert float(record["paper_fscore"]) == 0.655
+
+
+def test_the_main_table_is_laid_out_as_the_papers(study: Study) -> None:
+    table = main_table(study)
+    own = "Ours: w/o TRSF, avg, w/o spatial ref."
+    inputs = ("Ours: w/o projected depth", "Ours: w/o view ray")
+    ablations = [row for row in ABLATIONS if row not in inputs]
+    assert [[row[0] for row in group] for group in table.groups] == [
+        *([*BASELINES], ablations, ["Ours"], [own])
+    ]
+    found = cells(table)
+    assert found["Atlas"][:6] == ["-"] * 6
+    assert found["Atlas"][6:] == ["7.16", "7.61", "7.38", "0.675", "0.605", "0.636"]
+    assert found[own][5] == "0.350 ± 0.000"
+    assert found[own][6:] == ["-"] * 6
+    assert found["Ours: w/o C2F filter"][5] == "0.631"  # one seed: no deviation
+    assert cells(inputs_table(study))["Ours: w/o view ray"][:6] == ["-"] * 6  # missing
+
+
+def test_the_best_is_bold(study: Study) -> None:
+    """In the paper's columns just what the paper has in bold; in ours the made-up best."""
+    found = cells(main_table(study))
+    bold = {(row, i) for row, line in found.items() for i, c in enumerate(line) if "**" in c}
+    assert {(row, i - 6) for row, i in bold if i >= 6} == {
+        *(("NeuralRecon", 0), ("DeepVideoMVS", 1), ("Ours", 2)),
+        *(("Ours", 3), ("NeuralRecon", 4), ("Ours", 5)),
+    }
+    assert {(row, i) for row, i in bold if i < 6} == {("Ours", i) for i in range(6)}
+
+
+def test_equals_are_equally_good(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 0, [0.60001])
+    write_run(tmp_path, "views=8", 0, [0.60004])
+    write_run(tmp_path, "views=4", 0, [0.59])
+    found = cells(short_table(open_study([tmp_path])[0]))
+    assert found["Ours"][5] == found["Ours: 8 images"][5] == "**0.600**"
+    assert found["Ours: 4 images"][5] == "0.590"
+
+
+def test_comparison(study: Study) -> None:
+    found = {record["row"]: record for record in records(comparison_table(study))}
+    record = found["Ours: w/o TRSF, avg"]
+    assert float(record["difference"]) == pytest.approx(0.557 - 0.655)
+    assert float(record["paper"]) == pytest.approx(0.557 - 0.655)
+    assert float(record["low"]) < -0.098 < float(record["high"]) < 0
+    assert float(record["p"]) < 0.05
+    assert (record["seeds"], found["Ours: w/o C2F filter"]["seeds"]) == ("3", "1")
+    assert found["Ours"]["difference"] == ""
+    assert found["Ours: w/o TRSF, avg, w/o spatial ref."]["paper"] == ""
+
+
+def test_details(study: Study) -> None:
+    (record,) = (r for r in records(seed_table(study)) if r["row"] == "Ours: w/o C2F filter")
+    assert float(record["seed_0"]) == float(record["mean"]) == pytest.approx(0.631)
+    assert record["seed_1"] == ""
+    (record,) = (
+        r for r in records(scene_table(study)) if r["row"].endswith("avg, w/o spatial ref.")
+    )
+    assert [float(record[scene]) for scene in SCENES] == pytest.approx([0.2, 0.3, 0.4, 0.5])
+    rows = records(runs_table(study))
+    assert len(rows) == len(study.runs) * len(SCENES)
+    first = study.runs[rows[0]["row"], 0].scenes[SCENES[0]]
+    assert float(rows[0]["fscore"]) == pytest.approx(first["fscore"], abs=1e-6)
+    assert len(records(runs_table(study, "Ours"))) == 3 * len(SCENES)
+
+
+def test_missing_rows_are_said(study: Study) -> None:
+    found = cells(orderings_table(study))["Ours: w/o view ray < Ours"]
+    assert found == [*["-"] * 4, "+0.034", "missing", "missing"]
+
+
+def latex_cells(line: str) -> int:
+    """The columns a row of LaTeX fills."""
+    spans = [int(n) - 1 for n in re.findall(r"\\multicolumn\{(\d+)\}", line)]
+    return len(re.findall(r"(?<!\\)&", line)) + 1 + sum(spans)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_latex_is_well_formed(study: Study, make) -> None:
+    table = make(study)
+    text = latex(table)
+    code = re.sub(r"\\[\\{}$%&_#]", "", re.sub(r"(?m)^%.*$", "", text))  # without escapes
+    depth = 0
+    for character in code:
+        depth += (character == "{") - (character == "}")
+        assert depth >= 0
+    assert depth == 0
+    assert code.count("$") % 2 == 0
+    begun = re.findall(r"\\begin\{(\w+)\}", text)
+    assert begun == re.findall(r"\\end\{(\w+)\}", text)[::-1] == ["table", "tabular"]
+    (layout,) = re.findall(r"\\begin\{tabular\}\{(\w+)\}", text)
+    assert len(layout) == len(table.columns)
+    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert {latex_cells(line) for line in rows} == {len(layout)}
+    spans = any(column.span for column in table.columns)
+    assert len(rows) == 1 + spans + sum(map(len, table.groups))
+    assert text.count(r"\midrule") == len(table.groups)
+    for end in re.findall(r"\\cmidrule\(lr\)\{\d+-(\d+)\}", text):
+        assert int(end) <= len(layout)
+    assert text.isascii()
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_markdown_is_aligned(study: Study, make) -> None:
+    lines = markdown(make(study)).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert len({line.count("|") for line in lines}) == 1
+
+
+def test_numbers_and_text_in_every_format() -> None:
+    table = Table(
+        "t",
+        "A 5 % test & more.",
+        (Column("name", "Name"), Column("score", "Score", "up"), Column("word", "my_word")),
+        (
+            (("a_b & c", Number(0.12345, deviation=0.0011, best=True), "x < y"),),
+            (("d", Number(-0.5, "+.2f"), ""), ("e", Number(None), "z")),
+        ),
+    )
+    assert markdown(table).splitlines() == [
+        "| Name    |           Score ↑ | my_word |",
+        "| :------ | ----------------: | ------: |",
+        "| a_b & c | **0.123** ± 0.001 |   x < y |",
+        "| d       |             -0.50 |       - |",
+        "| e       |                 - |       z |",
+    ]
+    text = latex(table)
+    assert r"a\_b \& c & $\mathbf{0.123}_{\pm 0.001}$ & x $<$ y \\" in text
+    assert r"d & $-0.50$ & -- \\" in text
+    assert r"\caption{A 5 \% test \& more.}" in text
+    assert comma_separated(table).splitlines() == [
+        "name,score,score_deviation,word",
+        "a_b & c,0.12345,0.0011,x < y",
+        "d,-0.5,,",
+        "e,,,z",
+    ]

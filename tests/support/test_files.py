@@ -1,0 +1,161 @@
+"""Half-written files and directories never take the place of whole ones."""
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from tf_lab.support.files import (
+    atomic_directory,
+    atomic_path,
+    held,
+    holder,
+    remove_directory,
+    write_json,
+)
+
+
+class CutError(Exception):
+    """The writer is interrupted."""
+
+
+def names(directory: Path) -> list[str]:
+    return [path.name for path in directory.iterdir()]
+
+
+def test_path_appears_only_when_the_block_ends(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "mesh.ply"
+    with atomic_path(target) as temporary:
+        assert temporary.suffix == ".ply"
+        temporary.write_text("whole")
+        assert not target.exists()
+    assert target.read_text() == "whole"
+    assert names(target.parent) == ["mesh.ply"]
+    assert target.stat().st_mode & 0o777 == 0o644
+
+
+def test_an_error_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(CutError), atomic_path(tmp_path / "mesh.ply") as temporary:
+        temporary.write_text("half")
+        raise CutError
+    assert names(tmp_path) == []
+
+
+def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
+    target = tmp_path / "metrics.json"
+    target.write_text("old")
+    with pytest.raises(CutError), atomic_path(target) as temporary:
+        temporary.write_text("half")
+        raise CutError
+    assert target.read_text() == "old"
+    assert names(tmp_path) == ["metrics.json"]
+
+
+def test_a_writer_that_leaves_no_file_is_an_error(tmp_path: Path) -> None:
+    target = tmp_path / "metrics.json"
+    with pytest.raises(FileNotFoundError), atomic_path(target) as temporary:
+        temporary.unlink()
+    assert names(tmp_path) == []
+
+
+def test_directory_appears_only_when_the_block_ends(tmp_path: Path) -> None:
+    target = tmp_path / "scenes" / "room0"
+    with atomic_directory(target) as temporary:
+        (temporary / "scene.json").write_text("{}")
+        assert not target.exists()
+    assert names(target) == ["scene.json"]
+    assert names(target.parent) == ["room0"]
+    assert target.stat().st_mode & 0o777 == 0o755
+
+
+def test_an_error_leaves_no_directory(tmp_path: Path) -> None:
+    with pytest.raises(CutError), atomic_directory(tmp_path / "room0") as temporary:
+        (temporary / "scene.json").write_text("{}")
+        raise CutError
+    assert names(tmp_path) == []
+
+
+def test_of_two_writers_the_faster_stays(tmp_path: Path) -> None:
+    target = tmp_path / "room0"
+    both_write = threading.Barrier(2, timeout=10)
+
+    def write(name: str) -> None:
+        with atomic_directory(target) as temporary:
+            (temporary / "part1").write_text(name)
+            both_write.wait()
+            (temporary / "part2").write_text(name)
+
+    writers = [threading.Thread(target=write, args=(name,)) for name in ("first", "second")]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join(timeout=10)
+    parts = {(target / part).read_text() for part in ("part1", "part2")}
+    assert parts in ({"first"}, {"second"})  # one writer's work, whole
+    assert names(tmp_path) == ["room0"]
+
+
+def test_a_file_in_the_directorys_place_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "room0").write_text("a file")
+    with pytest.raises(OSError), atomic_directory(tmp_path / "room0") as temporary:
+        (temporary / "scene.json").write_text("{}")
+    assert (tmp_path / "room0").read_text() == "a file"
+    assert names(tmp_path) == ["room0"]
+
+
+def test_write_json_that_fails_keeps_the_old(tmp_path: Path) -> None:
+    target = tmp_path / "metrics.json"
+    write_json(target, {"fscore": 0.5})
+    with pytest.raises(TypeError):
+        write_json(target, {"fscore": object()})
+    assert json.loads(target.read_text()) == {"fscore": 0.5}
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from tf_lab.support.files import held
+with held(Path(sys.argv[1]), "trains"):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_lock_says_who_holds_it_and_outlives_nobody(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    directory = tmp_path / "training"
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(directory)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    who = f"process {process.pid} on {socket.gethostname()}"
+    assert holder(directory) == who
+
+    entered = threading.Event()
+
+    def wait() -> None:
+        with held(directory, "trains"):
+            entered.set()
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    assert not entered.wait(0.3)
+    process.kill()
+    waiting.join(10)
+    assert entered.is_set()
+    process.wait()
+    assert capsys.readouterr().out == f"waiting for {who}, which trains {directory}\n"
+    assert holder(directory) is None
+
+
+def test_a_removed_directory_is_gone_at_once(tmp_path: Path) -> None:
+    (tmp_path / "run" / "meshes").mkdir(parents=True)
+    (tmp_path / "run" / "metrics.json").write_text("{}")
+    remove_directory(tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,77 @@
+"""Scenes built in processes: whole or absent, each on its own."""
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tf_lab.errors import TFLabError
+from tf_lab.support.tasks import SceneJob, prepare_scenes
+
+
+def build(directory: Path, content: str = "whole") -> None:
+    """Tells what was built and by which process."""
+    (directory / "first.txt").write_text(content)
+    assert directory.name.startswith(".")  # not by its final name while it is half-written
+    (directory / "process.txt").write_text(str(os.getpid()))
+
+
+def fail(directory: Path) -> None:
+    (directory / "first.txt").write_text("half")
+    raise TFLabError("frame-7.jpg: cannot be read")
+
+
+def crash(directory: Path) -> None:
+    (directory / "first.txt").write_text("half")
+    raise ValueError("a bug")
+
+
+def jobs(root: Path, names: Sequence[str]) -> list[SceneJob]:
+    builders = {"bad": fail, "bug": crash}
+    return [SceneJob(root / n, builders.get(n.split("_")[0], build)) for n in names]
+
+
+def test_a_failing_scene_is_reported_and_the_others_are_built(tmp_path: Path) -> None:
+    root = tmp_path / "scenes"
+    names = ["bad_1", "good_1", "bad_2", "good_2"]
+    with pytest.raises(TFLabError) as caught:
+        prepare_scenes(jobs(root, names), "building", workers=1)
+    message = str(caught.value)
+    assert message.startswith("2 of 4 scenes failed")
+    for name in ("bad_1: frame-7.jpg: cannot be read", "bad_2"):
+        assert name in message
+    assert "good" not in message
+    # the failed ones left nothing, not even a temporary directory
+    assert sorted(p.name for p in root.iterdir()) == [".lock", "good_1", "good_2"]
+    for name in ("good_1", "good_2"):
+        assert (root / name / "first.txt").read_text() == "whole"
+        assert int((root / name / "process.txt").read_text()) != os.getpid()
+
+    # A second run, after the cause is gone, builds what is missing and keeps the rest.
+    stamp = (root / "good_1" / "process.txt").read_text()
+    (root / "good_1" / "mine.txt").write_text("keep me")
+    again = [SceneJob(root / n, partial(build, content="second")) for n in names]
+    prepare_scenes(again, "building", workers=1)
+    content = [(root / n / "first.txt").read_text() for n in names]
+    assert content == ["second", "whole", "second", "whole"]
+    assert (root / "good_1" / "process.txt").read_text() == stamp
+    assert (root / "good_1" / "mine.txt").exists()
+
+
+def test_a_bug_in_a_builder_is_not_swallowed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a bug"):
+        prepare_scenes(jobs(tmp_path, ["bug", "good"]), "building", workers=1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "good"]
+
+
+def test_nothing_missing_starts_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_args: object, **_kwargs: object) -> None:
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr("tf_lab.support.tasks.ProcessPoolExecutor", forbidden)
+    (tmp_path / "good").mkdir()
+    prepare_scenes(jobs(tmp_path, ["good"]), "building")
+    prepare_scenes([], "building")
+    assert not list((tmp_path / "good").iterdir())
