@@ -1,0 +1,77 @@
+"""Settings as frozen dataclasses whose fields say what they mean and what they shape.
+
+A setting is declared once, where it is used::
+
+    @dataclass(frozen=True)
+    class GRUSettings:
+        strategy: str = setting("gru", "of fusing the views of a voxel", shapes="weights")
+        layers: int = setting(1, "recurrent layers", shapes="weights")
+
+Its type is checked, its text is what ``--help`` prints, and what it shapes decides which runs are
+the same (see `tf_lab.experiments.identity`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import MISSING
+from typing import Any, Literal
+
+Shapes = Literal["weights", "scores", "nothing"]
+Kind = Literal["value", "path"]
+
+
+def setting(
+    default: Any = MISSING,
+    about: str = "",
+    *,
+    shapes: Shapes = "nothing",
+    kind: Kind = "value",
+    several: bool = False,
+) -> Any:
+    """A documented field of a settings dataclass.
+
+    Args:
+        default: its value unless somebody gives one; a list, dict or dataclass is copied. Without
+            a default the value has to be given (in a file of ``conf/`` or on the command line).
+        about: what it means, with its unit, as ``--help`` prints it.
+        shapes: "weights": other values train another network; "scores": they only evaluate it
+            otherwise; "nothing": results are the same.
+        kind: "path": ``~`` is expanded, and whatever it looks like it is text.
+        several: a list of texts may be given as well as one.
+    """
+    metadata = {"about": about, "shapes": shapes, "kind": kind, "several": several}
+    if default is MISSING:
+        return dataclasses.field(metadata=metadata)
+    if isinstance(default, list | dict) or dataclasses.is_dataclass(default):
+        copied = default
+        return dataclasses.field(
+            default_factory=lambda: copied.copy() if isinstance(copied, list | dict) else copied,
+            metadata=metadata,
+        )
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def shaping(settings: Any, what: Shapes) -> dict[str, Any]:
+    """The settings of a dataclass, nested ones included, that shape ``what``; nothing empty."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if dataclasses.is_dataclass(value):
+            value = shaping(value, what)
+            if value:
+                found[field.name] = value
+        elif field.metadata.get("shapes", "nothing") == what:
+            found[field.name] = value
+    return found
+
+
+def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasses.Field[Any]]]:
+    """The dotted name and the field of every setting of a dataclass, nested ones included."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name, None)
+        if dataclasses.is_dataclass(value):
+            yield from described(value, f"{prefix}{field.name}.")
+        else:
+            yield f"{prefix}{field.name}", field
