@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from tf_lab.data.lens import camera_of
 from tf_lab.data.readers import as_read
-from tf_lab.data.readers.settings import Convention, ReadSettings
 from tf_lab.data.readers.source import SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention, ReadSettings
 from tf_lab.data.scene import Frame
 
 

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from tf_lab.data import shards
 from tf_lab.data.chunk_sampler import ChunkSampler
-from tf_lab.data.chunks import ChunkBatch, ChunkSettings
+from tf_lab.data.chunks import ChunkBatch
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 
 NEAR, FAR = 0.3, 5.0

@@ -24,7 +24,7 @@ from tf_lab.data.diagnosis.search import Candidate
 from tf_lab.data.diagnosis.statistics import Statistics
 from tf_lab.data.diagnosis.verdict import FINE, Report
 from tf_lab.data.readers import open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import write_json
 

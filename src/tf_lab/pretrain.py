@@ -27,9 +27,9 @@ from tf_lab.config.build import encoder_settings, initialise_encoder
 from tf_lab.config.datasets import prepare_data
 from tf_lab.data.capture import Capture
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
-from tf_lab.data.photometric import PhotometricSettings
 from tf_lab.data.readers import open_capture
 from tf_lab.data.resize import Resized
+from tf_lab.data.settings import PhotometricSettings
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import portable
 from tf_lab.experiments.provenance import provenance, without_places

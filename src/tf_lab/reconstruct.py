@@ -25,7 +25,7 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.diagnosis import quick_warning
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError

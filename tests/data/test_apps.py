@@ -18,7 +18,7 @@ from layouts import scanner_app as scanner_layout
 from layouts import stray_scanner as stray_layout
 from tf_lab.data.readers import detect_format, open_capture, polycam, record3d, scanner_app
 from tf_lab.data.readers import stray_scanner as stray
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 # A camera at (1, 2, 3) of ARKit's y-up world, not turned: right is +x, down -y, and it looks to -z.

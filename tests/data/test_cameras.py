@@ -21,8 +21,8 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers import open_capture, seven_scenes
 from tf_lab.data.readers.frames_of_video import Video, VideoFrame
-from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import Rig, SourceCapture
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
 
 RigWriter = Callable[[Path, np.ndarray, np.ndarray], Path]

@@ -16,7 +16,6 @@ from tf_lab.data.diagnosis.matches import Pair, sampson_pixels
 from tf_lab.data.diagnosis.verdict import DOUBTFUL, FINE, UNKNOWN, WRONG, Report
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers import as_read, open_capture
-from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.readers.source import (
     ColorFile,
     DepthFile,
@@ -24,6 +23,7 @@ from tf_lab.data.readers.source import (
     SourceFrame,
     collect,
 )
+from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame
 from tf_lab.errors import TFLabError

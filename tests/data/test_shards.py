@@ -100,7 +100,7 @@ KILLED = """
 import sys
 from pathlib import Path
 from tf_lab.data.chunk_sampler import ChunkSampler
-from tf_lab.data.chunks import ChunkSettings
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.shards import write_shards
 
 if __name__ == "__main__":

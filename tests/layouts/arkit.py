@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from layouts.transforms import opengl
 from layouts.video import write_video
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
 
 OPTIONS = ReadSettings()

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from layouts.arkit import arkit_pose
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
 
 OPTIONS = ReadSettings()  # the format says where down is

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from layouts.arkit import ARKIT_R_WORLD
 from layouts.video import write_video
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
 
 OPTIONS = ReadSettings()  # the format says where down is

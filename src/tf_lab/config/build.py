@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from tf_lab.cli.command import device_of
-from tf_lab.data.chunks import ChunkSettings
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import shipped_encoder
 from tf_lab.network.encoders import Encoder, load_encoder_weights

@@ -12,16 +12,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
-from tf_lab.data.chunks import (
-    COARSE_GRID,
-    FINE_GRID,
-    ChunkBatch,
-    ChunkRecord,
-    ChunkSettings,
-    make_batch,
-)
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkRecord, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.steps import own_steps
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import (

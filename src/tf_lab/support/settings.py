@@ -75,3 +75,10 @@ def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasse
             yield from described(value, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", field
+
+
+def lists_to_tuples(settings: Any) -> None:
+    """Make a frozen dataclass' lists tuples, in ``__post_init__``: configs know only lists."""
+    for field in dataclasses.fields(settings):
+        if isinstance(value := getattr(settings, field.name), list):
+            object.__setattr__(settings, field.name, tuple(value))

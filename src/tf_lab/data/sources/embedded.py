@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,8 @@ from tf_lab.data.flats import generate_flat
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame, write_scene
+from tf_lab.data.sources.settings import Content, EmbeddedData
+from tf_lab.data.sources.source import DataSource, Prepared
 from tf_lab.support.tasks import SceneJob, prepare_scenes
 
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
@@ -88,5 +90,51 @@ class EmbeddedSet:
 
 ROOMS = EmbeddedSet("rooms", rooms.VERSION, generate_room)
 FLATS = EmbeddedSet("flats", flats.VERSION, generate_flat)
-EMBEDDED = {data.name: data for data in (ROOMS, FLATS)}
-"""By the name of their data group."""
+
+
+class EmbeddedSource(DataSource):
+    """Scenes of an embedded set, of which none can fail."""
+
+    made: EmbeddedSet
+    settings: EmbeddedData
+
+    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
+        """See `DataSource`."""
+        wanted = {split: EmbeddedSplit(self._size(split), self._filming(split)) for split in splits}
+        found = self.made.prepare(self.root, wanted, self.settings.workers)
+        scenes = {split: {path.name: path for path in paths} for split, paths in found.items()}
+        return Prepared(scenes, {}, self.root)
+
+    def has(self, split: str) -> bool:
+        """See `DataSource`."""
+        return self._size(split) > 0
+
+    def content(self) -> Content:
+        """See `DataSource`."""
+        versions = {"groundtruth": groundtruth.VERSION, self.made.name: self.made.version}
+        return Content(versions, shards=self.shards())
+
+    def directory(self, name: str, digest: str | None) -> Path:
+        """See `DataSource`."""
+        index = int(name.rpartition("_")[2]) - FIRST_SEED["test"]
+        return self.made.directory(self.root, "test", index, self._filming("test"))
+
+    def _size(self, split: str) -> int:
+        s = self.settings
+        return {"train": s.size, "val": s.val_size, "test": s.test_size}[split]
+
+    def _filming(self, split: str) -> RoomSettings:
+        s = self.settings
+        return RoomSettings(s.width, s.height, s.frames if split == "train" else s.test_frames)
+
+
+class RoomSource(EmbeddedSource):
+    """Synthetic rooms."""
+
+    made = ROOMS
+
+
+class FlatSource(EmbeddedSource):
+    """Synthetic flats."""
+
+    made = FLATS

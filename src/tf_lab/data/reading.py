@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.settings import lists_to_tuples, setting
 
 POSES = ("camera_to_world", "world_to_camera")
 QUATERNIONS = ("wxyz", "xyzw")
@@ -55,48 +55,47 @@ OURS = Convention()
 class ReadSettings:
     """How a source is read. The defaults take it at its word; the mends say what is so instead.
 
-    Attributes:
-        format: the layout's name; None recognises it.
-        gravity: the direction of gravity (down) in the source's world, for a source that does not
-            state it (see `tf_lab.data.gravity`); without it, it is estimated.
-        scale: metres per unit of the poses; None: as the layout says (COLMAP says nothing).
-        poses: the transform that the files hold, of `POSES`; None: the layout's.
-        axes: where the camera's x, y, z point: a name of `AXES` or three letters of right, left,
-            up, down, forward, back ("rdf"); None: the layout's. Of left-handed ones the world is
-            left-handed, too.
-        rotations: of `ROTATIONS`: the 3x3 rotations may be written column by column.
-        quaternions: the order of their four numbers, of `QUATERNIONS`; None: the layout's.
-        focal_scale: factor on the focal lengths.
-        principal: pixels (x, y) to add to the principal point, or "center": the images' middle.
-        intrinsics_size: (width, height) of the images that the intrinsics are of, where these were
-            resized afterwards.
-        depth_camera: of `DEPTH_CAMERAS`: whether the mends of the intrinsics also hold for depth
-            that has no camera of its own ("shared"), or that keeps them as given.
-        turn: degrees clockwise by which images and depth have to be turned to be those of the
-            poses. Intrinsics are of the images before or after, whichever they fit.
-        shift: an image takes the pose of the frame this many later.
-        depth_scale: units per metre of the depth maps; None: as the layout says.
-
     Raises:
         TFLabError: a value that cannot be; the message has the choices.
     """
 
-    format: str | None = None
-    gravity: tuple[float, float, float] | None = None
-    scale: float | None = None
-    poses: str | None = None
-    axes: str | None = None
-    rotations: str = "as_given"
-    quaternions: str | None = None
-    focal_scale: float = 1.0
-    principal: tuple[float, float] | str | None = None
-    intrinsics_size: tuple[int, int] | None = None
-    depth_camera: str = "shared"
-    turn: int = 0
-    shift: int = 0
-    depth_scale: float | None = None
+    format: str | None = setting(None, "name the layout, see docs/data.md; null: it is detected")
+    gravity: tuple[float, float, float] | None = setting(
+        None,
+        'direction of "down" in the source\'s world, as [0,0,-1]; null: from file, or estimated',
+    )
+    scale: float | None = setting(
+        None, "metres per unit of the poses; null: as the layout says (COLMAP says nothing)"
+    )
+    poses: str | None = setting(
+        None, "camera_to_world or world_to_camera: what the files hold; null: as the layout has it"
+    )
+    axes: str | None = setting(
+        None,
+        "of the camera: opencv, opengl, unity, ... or where x, y, z point, as in rdf; null: the "
+        "layout's",
+    )
+    rotations: str = setting("as_given", "or transposed: rotations written column by column")
+    quaternions: str | None = setting(None, "wxyz or xyzw; null: as the layout has them")
+    focal_scale: float = setting(1.0, "factor on the focal lengths")
+    principal: Any = setting(
+        None, "center (of the images), or [x,y] in pixels, added to the principal point"
+    )
+    intrinsics_size: tuple[int, int] | None = setting(
+        None, "[width,height] of the images that the intrinsics are of, if others"
+    )
+    depth_camera: str = setting(
+        "shared",
+        "as_given: depth without a camera of its own keeps the intrinsics as they are stated",
+    )
+    turn: int = setting(0, "90, 180 or 270: turn the images clockwise to be as the poses have them")
+    shift: int = setting(0, "an image takes the pose of the frame this many later")
+    depth_scale: float | None = setting(
+        None, "units per metre of the depth maps; null: as the layout says"
+    )
 
     def __post_init__(self) -> None:
+        lists_to_tuples(self)
         if self.axes is not None and self.axes not in AXES and self.axes not in CODES:
             raise TFLabError(
                 f"axes={self.axes}: choose {', '.join(AXES)}, or say where x, y and z point, as in "
@@ -121,12 +120,9 @@ class ReadSettings:
             raise TFLabError(f"intrinsics_size={size}: [width,height] in pixels")
 
     @classmethod
-    def of(cls, config: Mapping[str, Any]) -> ReadSettings:
-        """The settings of these names in a config, which may have others and lack some."""
-        given: dict[str, Any] = {f.name: config[f.name] for f in fields(cls) if f.name in config}
-        for name, value in given.items():
-            given[name] = tuple(value) if isinstance(value, list) else value
-        return cls(**given)
+    def part_of(cls, settings: Any) -> ReadSettings:
+        """How a source is read, out of settings that say other things as well."""
+        return cls(**{field.name: getattr(settings, field.name) for field in fields(cls)})
 
 
 def _one_of(name: str, value: Any, choices: tuple[Any, ...]) -> None:
