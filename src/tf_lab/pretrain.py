@@ -33,7 +33,8 @@ from tf_lab.data.settings import PhotometricSettings
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import portable
 from tf_lab.experiments.provenance import provenance, without_places
-from tf_lab.network.encoders import Encoder, make_encoder
+from tf_lab.network.encoders import make_encoder
+from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.support.files import atomic_path, check_file
 from tf_lab.training.matching import matching_loss
 from tf_lab.training.module import TrainingProgress

@@ -215,7 +215,7 @@ def test_the_coarse_voxels_of_a_fine_grid(
 
 def test_configurations_that_make_no_sense() -> None:
     sizes: dict[str, Any] = dict(blocks=1, expansion=2.0, hidden=8, refine_blocks=1)
-    with pytest.raises(TFLabError, match="fusion=magic"):
+    with pytest.raises(TFLabError, match=r"fusion\.strategy=magic"):
         NetworkConfig(width=8, heads=2, fusion="magic", **sizes)
     with pytest.raises(TFLabError, match="multiple of heads=3"):
         NetworkConfig(width=8, heads=3, **sizes)

@@ -11,14 +11,13 @@ from tf_lab.data.scene import Scene
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.reconstructor import Reconstructor
+from tf_lab.online.views import POLICIES, make_policy
 from tf_lab.online.views.batch import BatchSelection
 from tf_lab.online.views.selection import (
-    POLICIES,
     AttentionSelection,
     DiverseSelection,
     RandomSelection,
     SelectionPolicy,
-    make_policy,
 )
 
 
@@ -63,7 +62,7 @@ def test_adding_a_frame_waits_for_list_lengths_only(
         assert gpu.waits == {"__getitem__": 4}
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", [policy.name for policy in POLICIES])
 def test_choosing_and_comparing_views_in_training_waits_for_nothing(name: str) -> None:
     torch.manual_seed(0)
     valid, rays = torch.rand(30, 9) < 0.7, torch.randn(30, 9, 3)

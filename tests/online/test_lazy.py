@@ -20,7 +20,7 @@ from online.scenes import (
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK
-from tf_lab.network.fusion import weights_from_logits
+from tf_lab.network.fusion.weights import weights_from_logits
 from tf_lab.online import Reconstructor
 from tf_lab.online.views.selection import (
     AttentionSelection,

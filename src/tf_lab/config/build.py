@@ -11,11 +11,12 @@ from tf_lab.cli.command import device_of
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import shipped_encoder
-from tf_lab.network.encoders import Encoder, load_encoder_weights
+from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders.weights import load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
 from tf_lab.online.captures import TestSettings
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.views.selection import make_policy
+from tf_lab.online.views import make_policy
 from tf_lab.training.initial import initial_path, initialise
 from tf_lab.training.module import OptimizerSettings
 

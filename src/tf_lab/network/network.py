@@ -13,7 +13,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.encoders import make_encoder
-from tf_lab.network.fusion import STRATEGIES, Fusion
+from tf_lab.network.fusion import FUSIONS, make_fusion
+from tf_lab.network.fusion.strategy import Fusion
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.tokens import Measurements, Tokens, measure
@@ -56,8 +57,7 @@ class NetworkConfig:
     far: float = 5.0
 
     def __post_init__(self) -> None:
-        if self.fusion not in STRATEGIES:
-            raise TFLabError(f"fusion={self.fusion}: choose one of {', '.join(STRATEGIES)}")
+        FUSIONS.settings(self.fusion)  # told now
         if self.width % self.heads:
             raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")
 
@@ -114,7 +114,10 @@ class Network(nn.Module):
             {name: Tokens(channels[name], c.width, c.depth, c.ray) for name in LEVELS}
         )
         self.fusion = nn.ModuleDict(
-            {name: STRATEGIES[c.fusion](c.width, c.blocks, c.heads, c.expansion) for name in LEVELS}
+            {
+                name: make_fusion(c.fusion, c.width, c.blocks, c.heads, c.expansion)
+                for name in LEVELS
+            }
         )
         self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
         self.occupancy = OccupancyMLP(c.width, c.hidden)

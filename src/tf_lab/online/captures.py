@@ -16,7 +16,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.views.selection import make_policy
+from tf_lab.online.views import make_policy
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,7 @@ from tf_lab.network.network import Network
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.views.selection import make_policy
+from tf_lab.online.views import make_policy
 from tf_lab.support.files import atomic_path
 
 FORMAT = 1

@@ -22,8 +22,8 @@ from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.network.network import Network
 from tf_lab.online.captures import TestSettings, reconstruct
+from tf_lab.online.views import make_policy
 from tf_lab.online.views.batch import BatchSelection
-from tf_lab.online.views.selection import make_policy
 from tf_lab.support.progress import Once, Pace, progress_bar
 from tf_lab.training.known_maps import KnownMaps
 from tf_lab.training.losses import losses

@@ -6,15 +6,13 @@ one is to go.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.errors import TFLabError
-from tf_lab.network.fusion import weights_from_logits
+from tf_lab.network.fusion.weights import weights_from_logits
 
 
 class Candidates(NamedTuple):
@@ -170,21 +168,3 @@ def _mix(x: Tensor) -> Tensor:
 def _shift(x: Tensor, bits: int) -> Tensor:
     """Logical shift to the right of int64."""
     return (x >> bits) & ((1 << (64 - bits)) - 1)
-
-
-POLICIES: dict[str, Callable[[int], SelectionPolicy]] = {
-    "attention": AttentionSelection,
-    "random": RandomSelection,
-    "diverse": DiverseSelection,
-}
-
-
-def make_policy(name: str, seed: int) -> SelectionPolicy:
-    """The policy of a name.
-
-    Raises:
-        TFLabError: there is none.
-    """
-    if name not in POLICIES:
-        raise TFLabError(f"select.policy={name}: choose one of {', '.join(POLICIES)}")
-    return POLICIES[name](seed)
