@@ -34,7 +34,7 @@ from tf_lab.evaluation.protocol import evaluate_scene, format_table
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.online.captures import Reconstruction, TestSettings, reconstruct
+from tf_lab.online.captures import CaptureSettings, Reconstruction, reconstruct
 from tf_lab.support.files import atomic_path, check_file
 from tf_lab.support.progress import progress_bar
 
@@ -99,7 +99,7 @@ def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:
     return Resized(capture, (data["width"], data["height"]))
 
 
-def _reconstruct(network: Network, capture: Capture, settings: TestSettings) -> Reconstruction:
+def _reconstruct(network: Network, capture: Capture, settings: CaptureSettings) -> Reconstruction:
     with progress_bar() as bar:
         task = bar.add_task("adding keyframes", total=None)
 

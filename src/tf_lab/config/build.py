@@ -14,7 +14,7 @@ from tf_lab.network.checkpoint import shipped_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.weights import load_encoder_weights
 from tf_lab.network.network import Network, NetworkConfig
-from tf_lab.online.captures import TestSettings
+from tf_lab.online.captures import CaptureSettings
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views import make_policy
 from tf_lab.training.initial import initial_path, initialise
@@ -130,9 +130,9 @@ def ready(network: Network, config: Config, device: torch.device) -> Network:
     return network.to(device)
 
 
-def test_settings(config: Config) -> TestSettings:
+def test_settings(config: Config) -> CaptureSettings:
     """How scenes are reconstructed at test time."""
-    return TestSettings(
+    return CaptureSettings(
         reconstruction=reconstruction_settings(
             config, views=config["views"], threshold=config["threshold"]
         ),

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class TestSettings:
+class CaptureSettings:
     """All that shapes a reconstruction, given a network.
 
     Attributes:
@@ -31,8 +31,6 @@ class TestSettings:
         seed: of random selection.
         keyframe_distance: see `keyframes`; 0 takes every frame.
     """
-
-    __test__ = False  # not a test class, whatever pytest makes of the name
 
     reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
     select: str = "attention"
@@ -52,7 +50,7 @@ class Reconstruction:
 def reconstruct(
     network: Network,
     capture: Capture,
-    settings: TestSettings,
+    settings: CaptureSettings,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction:
     """Reconstruct a capture from its keyframes; frames that can't be read are skipped.
