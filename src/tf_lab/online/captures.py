@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -27,13 +28,13 @@ class CaptureSettings:
 
     Attributes:
         reconstruction: views, mask threshold, mesh resolution.
-        select: "attention" or "random".
+        select: settings of a policy of view selection, or its name.
         seed: of random selection.
         keyframe_distance: see `keyframes`; 0 takes every frame.
     """
 
     reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
-    select: str = "attention"
+    select: Any = "attention"
     seed: int = 0
     keyframe_distance: float = 0.1
 

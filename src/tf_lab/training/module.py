@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from rich.progress import Progress, TaskID
 from torch import Tensor
 
+from tf_lab.config.groups import OptimizerSettings
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch
 from tf_lab.data.scene import Scene
-from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import commits_of
@@ -29,43 +30,14 @@ from tf_lab.training.known_maps import KnownMaps
 from tf_lab.training.losses import losses
 
 
-@dataclass(frozen=True)
-class OptimizerSettings:
-    """Adam and its schedule.
-
-    Attributes:
-        lr: peak learning rate (1e-4 in the paper).
-        betas, eps, weight_decay: of Adam (paper: (0.9, 0.999), 1e-8, 1e-4).
-        schedule: "inverse_sqrt" (paper) or "cosine" (to 0 at the last step).
-        warmup: steps of linear warm-up (5000 in the paper).
-        steps: all steps.
-        clip: largest gradient norm; 0: none (paper).
-        encoder_factor: the encoder's learning rate over the others' (1 in the paper); 0: it stays
-            as it is, and encodes an image once.
-    """
-
-    lr: float
-    betas: tuple[float, float]
-    eps: float
-    weight_decay: float
-    schedule: str
-    warmup: int
-    steps: int
-    clip: float
-    encoder_factor: float
-
-    def __post_init__(self) -> None:
-        if self.schedule not in ("inverse_sqrt", "cosine"):
-            raise TFLabError(f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine")
-
-    def factor(self, step: int) -> float:
-        """The learning rate at a step (from 0) over the peak."""
-        warm = min(1.0, (step + 1) / max(1, self.warmup))
-        if self.schedule == "inverse_sqrt":
-            return warm * (max(1, self.warmup) / max(step + 1, self.warmup, 1)) ** 0.5
-        done = max(0, step - self.warmup) / max(1, self.steps - self.warmup)
-        cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, done) * torch.pi)).item())
-        return warm * cosine
+def schedule_factor(settings: OptimizerSettings, step: int) -> float:
+    """The learning rate at a step (from 0) over the peak."""
+    warm = min(1.0, (step + 1) / max(1, settings.warmup))
+    if settings.schedule == "inverse_sqrt":
+        return warm * (max(1, settings.warmup) / max(step + 1, settings.warmup, 1)) ** 0.5
+    done = max(0, step - settings.warmup) / max(1, settings.steps - settings.warmup)
+    cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, done) * torch.pi)).item())
+    return warm * cosine
 
 
 class Training(L.LightningModule):
@@ -147,7 +119,7 @@ class Training(L.LightningModule):
             {"params": encoder, "lr": s.lr * s.encoder_factor},
         ]
         adam = torch.optim.Adam(groups, s.lr, s.betas, s.eps, s.weight_decay)
-        schedule = torch.optim.lr_scheduler.LambdaLR(adam, s.factor)
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, partial(schedule_factor, s))
         return {
             "optimizer": adam,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},

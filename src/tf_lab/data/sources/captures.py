@@ -60,7 +60,7 @@ class PreparedSource(DataSource):
             split: {name: made.scenes[name] for name in names if name in made.scenes}
             for split, names in chosen.items()
         }
-        return Prepared(scenes, made.failed, self.folder, summarise(made, self.folder))
+        return Prepared(scenes, made.failed, summarise(made, self.folder))
 
     def has(self, split: str) -> bool:
         """See `DataSource`."""

@@ -103,7 +103,12 @@ class EmbeddedSource(DataSource):
         wanted = {split: EmbeddedSplit(self._size(split), self._filming(split)) for split in splits}
         found = self.made.prepare(self.root, wanted, self.settings.workers)
         scenes = {split: {path.name: path for path in paths} for split, paths in found.items()}
-        return Prepared(scenes, {}, self.root)
+        lines = [
+            f"{split}: {len(paths)} {self.made.name} in {paths[0].parent}"
+            for split, paths in found.items()
+            if paths
+        ]
+        return Prepared(scenes, {}, "\n".join(lines))
 
     def has(self, split: str) -> bool:
         """See `DataSource`."""

@@ -116,12 +116,12 @@ class CapturesData(ReadSettings, PreparedData):
     train: Any = setting(
         None,
         "scene names, or a text file with one a line; null: all but val and test",
-        kind="path",
+        kind="source",
         several=True,
     )
-    val: Any = setting([], "the same, for the score while training", kind="path", several=True)
+    val: Any = setting([], "the same, for the score while training", kind="source", several=True)
     test: Any = setting(
-        [], "the same; without a test scene there is no score", kind="path", several=True
+        [], "the same; without a test scene there is no score", kind="source", several=True
     )
 
     @property

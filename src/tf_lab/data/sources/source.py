@@ -25,13 +25,11 @@ class Prepared:
     Attributes:
         scenes: directories by split and name.
         failed: why which scene could not be made.
-        folder: where they lie.
         summary: what was made, skipped and why, as text; "": nothing to say.
     """
 
     scenes: dict[str, dict[str, Path]]
     failed: dict[str, str]
-    folder: Path
     summary: str = ""
 
 

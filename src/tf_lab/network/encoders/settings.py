@@ -18,6 +18,7 @@ class EncoderSettings:
         "imagenet",
         "to start from: imagenet, rooms (ours, pre-trained on the rooms), none, or a file",
         shapes="weights",
+        kind="source",
     )
     coarse_stride: int = setting(
         about="image pixels a pixel of the coarse map; a stride that a stage has", shapes="weights"
