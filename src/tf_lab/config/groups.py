@@ -141,3 +141,12 @@ class InferenceSettings:
     keyframe_distance: float = setting(
         0.1, "DeepVideoMVS' combined pose distance; 0: every frame", shapes="scores"
     )
+
+
+@dataclass(frozen=True)
+class LoggerSettings:
+    """Where losses and scores are logged, beside metrics.csv."""
+
+    kind: str = setting("csv", "set it by logger=")
+    project: str = setting("tf_lab", "of Weights & Biases")
+    offline: bool = setting(False, "true keeps runs in the training's folder")

@@ -15,6 +15,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from tf_lab.config.groups import (
     InferenceSettings,
     InputSettings,
+    LoggerSettings,
     ModelSettings,
     OnlineSettings,
     OptimizerSettings,
@@ -56,7 +57,7 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     optimizer: OptimizerSettings = MISSING
     training: TrainingSettings = MISSING
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
-    logger: Any = MISSING
+    logger: LoggerSettings = field(default_factory=LoggerSettings)
     launcher: Any = None
     seed: int = setting(0, "of weights, chunks and random choices", shapes="weights")
     init: str | None = setting(
