@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from online.scenes import surface_of
+from helpers.online.scenes import surface_of
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
 from tf_lab.data.embedded import FLATS, ROOMS, EmbeddedSplit

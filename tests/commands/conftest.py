@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
-from tiny_jobs import TINY, Result, call, start, tiny_config
 
+from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
 from tf_lab.config.datasets import prepare_data
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation import pictures, protocol

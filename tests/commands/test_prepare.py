@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_jobs import TINY, call, environment, start, tiny_config
 
-from layouts import room_frames, seven_scenes
+from helpers.layouts import room_frames, seven_scenes
+from helpers.tiny_jobs import TINY, call, environment, start, tiny_config
 from tf_lab.config.datasets import scene_directory
 from tf_lab.data.scene import Scene
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from layouts.transforms import opengl
-from layouts.video import write_video
+from helpers.layouts.transforms import opengl
+from helpers.layouts.video import write_video
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 

@@ -7,8 +7,8 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from layouts.arkit import ARKIT_R_WORLD
-from layouts.video import write_video
+from helpers.layouts.arkit import ARKIT_R_WORLD
+from helpers.layouts.video import write_video
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 

@@ -88,6 +88,17 @@ def start(command: str, *arguments: str, cwd: Path, **variables: str) -> Result:
     return Result(done.returncode, done.stdout, done.stderr)
 
 
+def told(result: Result, *expected: str) -> None:
+    """That the command failed with one line that says all of this."""
+    lines = result.err.splitlines()
+    assert len(lines) == 1, result.err
+    assert lines[0].startswith("error: ")
+    for text in expected:
+        assert text in lines[0], lines[0]
+    assert "Traceback" not in result.out
+    assert result.status == 2
+
+
 def tiny_config(*overrides: str) -> dict[str, Any]:
     """The resolved config of the train command on the tiny rooms."""
     with initialize_config_dir(conf_dir(), version_base="1.3"):

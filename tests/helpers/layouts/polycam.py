@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from layouts.arkit import arkit_pose
+from helpers.layouts.arkit import arkit_pose
 from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.scene import Frame
 
