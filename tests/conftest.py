@@ -7,7 +7,7 @@ import hypothesis
 import pytest
 import torch
 
-import box_room
+from helpers import box_room
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.scene import write_scene
 from tf_lab.network.network import Network, NetworkConfig

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
-from tiny_jobs import TINY, Result, call, start, tiny_config
-
 from tf_lab.config.datasets import prepare_data
+
+from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation import pictures, protocol
 from tf_lab.support.files import atomic_directory

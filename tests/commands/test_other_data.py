@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from PIL import Image
-from tiny_jobs import TINY, Result, call
-
-from layouts import plain as plain_layout
-from layouts import room_frames, scannet
-from tf_lab.cli.command import conf_dir, plain
 from tf_lab.config.datasets import identified, prepare_data
+
+from helpers.layouts import plain as plain_layout
+from helpers.layouts import room_frames, scannet
+from helpers.tiny_jobs import TINY, Result, call
+from tf_lab.cli.command import conf_dir, plain
 from tf_lab.data import digests
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_jobs import TINY, call, environment, start, tiny_config
-
-from layouts import room_frames, seven_scenes
 from tf_lab.config.datasets import scene_directory
+
+from helpers.layouts import room_frames, seven_scenes
+from helpers.tiny_jobs import TINY, call, environment, start, tiny_config
 from tf_lab.data.scene import Scene
 
 SETTINGS = ("data=captures", "data.width=48", "data.height=36", "data.keyframe_distance=0")

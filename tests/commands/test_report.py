@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 from PIL import Image
-from tiny_jobs import Result, call
 
-from made_up_runs import ROWS, write_run, write_study
+from helpers.made_up_runs import ROWS, write_run, write_study
+from helpers.tiny_jobs import Result, call
 from tf_lab.reporting import gallery
 from tf_lab.reporting.paper import SCORES
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
-from tiny_jobs import TINY, call, environment, tiny_config
 
+from helpers.tiny_jobs import TINY, call, environment, tiny_config
 from tf_lab.experiments.identity import training_directory
 from tf_lab.train import AtomicSaves
 from tf_lab.train import train as train_network

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from tiny_jobs import Result, call, tiny_config
 
+from helpers.tiny_jobs import Result, call, tiny_config
 from tf_lab.experiments.provenance import commit
 from tf_lab.experiments.reuse import commits_of, removal, say_reused
 from tf_lab.support.files import held

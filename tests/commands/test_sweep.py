@@ -13,9 +13,9 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
-from test_train import check_run
-from tiny_jobs import TINY, Result, call, environment, start, tiny_config
 
+from helpers.run_directory import check_run
+from helpers.tiny_jobs import TINY, Result, call, environment, start, tiny_config
 from tf_lab.cli.command import conf_dir, plain
 from tf_lab.cli.overrides import JOB
 from tf_lab.experiments.identity import training_directory

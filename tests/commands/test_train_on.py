@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
-from tiny_jobs import TINY, Result, call, tiny_config
 
+from helpers.tiny_jobs import TINY, Result, call, tiny_config
 from tf_lab.experiments.identity import training_directory
 from tf_lab.network.checkpoint import load_network, read_info, save_network
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
 
 from tf_lab.cli.command import conf_dir, plain
 from tf_lab.config import build as configuration
@@ -31,8 +32,16 @@ def composed(name: str = "train", *overrides: str) -> dict[str, Any]:
     return plain(cfg)
 
 
+def with_hydra(*overrides: str) -> list[Any]:
+    """What the train command gets, and how Hydra is to run it."""
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        hydra = compose("train", overrides=list(overrides), return_hydra_config=True).hydra
+    how = OmegaConf.masked_copy(hydra, ["mode", "launcher", "sweeper"])
+    return [composed("train", *overrides), OmegaConf.to_container(how)]
+
+
 # what the user has to say beside an option
-NEEDED = {"data=captures": "data.root=captures", "data=shards": "data.urls=shards"}
+NEEDED = {"data=captures": ["data.root=captures"], "data=shards": ["data.urls=shards"]}
 
 
 @pytest.fixture
@@ -45,7 +54,7 @@ def any_launcher() -> None:
 @pytest.mark.usefixtures("any_launcher")
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_composes_and_is_accepted(option: str) -> None:
-    config = composed("train", option, *(NEEDED[o] for o in [option] if o in NEEDED))
+    config = composed("train", option, *NEEDED.get(option, []))
     configuration.chunk_settings(config)
     configuration.optimizer_settings(config)
     configuration.test_settings(config)
@@ -60,17 +69,36 @@ def test_ray_is_told_what_a_job_needs() -> None:
     assert launcher["ray"] == {"init": {"address": None}, "remote": {"num_gpus": 1, "num_cpus": 4}}
 
 
-def test_the_groups_of_the_contract_exist() -> None:
-    for option in (
-        *("fusion=transformer", "fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
-        "inputs=matching",
-        *("model=tiny", "model=small", "model=paper", "select=attn", "select=rnd"),
-        "encoder=efficientnet_lite0",
-        *("logger=csv", "logger=tensorboard", "logger=wandb", "logger=wandb_offline"),
-        *("launcher=local", "launcher=slurm", "launcher=ray"),
-        *("sweep=main_ablation", "sweep=inputs", "sweep=views", "sweep=all"),
-    ):
-        assert option in OPTIONS
+# the options that README and sweeps rely on; the first of a group is its default
+CONTRACT = {
+    "fusion": ["transformer", "avg", "pred"],
+    "inputs": ["all", "no_depth", "no_ray", "matching"],
+    "select": ["attn", "rnd", "diverse"],
+    "model": ["tiny", "small", "paper"],
+    "encoder": ["resnet_tiny", "resnet_small", "resnet18", "efficientnet_lite0"],
+    "data": ["rooms", "flats", "scannet", "captures"],
+    "trainer": ["auto", "gpu", "ddp"],
+    "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
+    "launcher": ["", "local", "slurm", "ray"],
+    "sweep": ["", "main_ablation", "inputs", "views", "all"],
+    "row": [
+        *("ours", "avg", "pred", "no_refine", "no_filter", "no_depth", "no_ray", "matching"),
+        *("views4", "views4_rnd", "views8", "views8_rnd", "views16_rnd"),
+    ],
+}
+
+
+@pytest.mark.usefixtures("any_launcher")
+@pytest.mark.parametrize("group", CONTRACT)
+def test_every_option_of_the_contract_says_something_of_its_own(group: str) -> None:
+    """It is there, the first is what happens without a word, and no two are the same."""
+    found: list[Any] = []
+    for option in CONTRACT[group]:
+        word = f"{group}={option}"
+        words = [word, *NEEDED.get(word, [])] if option else []
+        found.append(with_hydra(*words))
+        assert found.count(found[-1]) == 1, option
+    assert found[0] == with_hydra()
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from layouts import plain, room_frames, sens, seven_scenes
+from helpers.layouts import plain, room_frames, sens, seven_scenes
 from tf_lab.data import captures
 from tf_lab.data.captures import (
     ImportSettings,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from injections import INJECTIONS, Frames, opened, source_of
-from layouts import LAYOUTS
+from helpers.injections import INJECTIONS, Frames, opened, source_of
+from helpers.layouts import LAYOUTS
 from tf_lab.data.diagnosis import diagnose, quick_warning
 from tf_lab.data.diagnosis.evidence import Evidence
 from tf_lab.data.diagnosis.matches import Pair, sampson_pixels

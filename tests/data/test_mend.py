@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from layouts import LAYOUTS, room_frames
+from helpers.layouts import LAYOUTS, room_frames
 from tf_lab.data.capture import Capture
 from tf_lab.data.captures import ImportSettings
 from tf_lab.data.readers import open_capture

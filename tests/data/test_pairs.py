@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-import box_room
+from helpers import box_room
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import PhotometricSettings

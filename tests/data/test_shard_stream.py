@@ -16,8 +16,8 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-import small_shards
-from small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, same, sampler
+from helpers import small_shards
+from helpers.small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, same, sampler
 from tf_lab.data.chunk_sampler import ChunkStream
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
 from tf_lab.data.shard_stream import ShardSource, ShardStream

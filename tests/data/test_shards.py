@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from small_shards import COUNT, SEED, SETTINGS, run_here, sampler, write
+from helpers.small_shards import COUNT, SEED, SETTINGS, run_here, sampler, write
 from tf_lab.data import shards
 from tf_lab.data.scene import Scene
 from tf_lab.data.shard_set import open_shards

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import lenses
+from helpers import lenses
 from tf_lab.data.readers import open_capture, transforms
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.reading import ReadSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from layouts.video import held_upright, write_video
+from helpers.layouts.video import held_upright, write_video
 from tf_lab.data.readers import open_capture, video
 from tf_lab.data.readers.frames_of_video import Video
 from tf_lab.data.reading import ReadSettings

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lite0 import TABLE, blocks, made_up, published_shapes
+from helpers.lite0 import TABLE, blocks, made_up, published_shapes
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import ENCODERS, make_encoder
 from tf_lab.network.encoders.efficientnet import PACKAGE, EfficientNetLite0, SameConv

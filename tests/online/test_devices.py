@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from online.pretended_gpu import CUDA, PretendedGpu, on_gpu
-from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from helpers.online.pretended_gpu import CUDA, PretendedGpu, on_gpu
+from helpers.online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
 from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.data.scene import Scene
 from tf_lab.network.agreement import Agreement

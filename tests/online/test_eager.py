@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from online.scenes import (
+from helpers.online.scenes import (
     FRAMES,
     Factory,
     add,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from online.scenes import (
+from helpers.online.scenes import (
     FRAMES,
     Factory,
     add,

@@ -6,7 +6,7 @@ import torch
 import trimesh
 from torch import Tensor
 
-from online.dense import crossing_voxels, extract
+from helpers.online.dense import crossing_voxels, extract
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
 from tf_lab.online.mesher import color_vertices

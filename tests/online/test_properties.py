@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from online.dense import embed
-from online.scenes import Factory, assert_same_surface, balanced, reconstruct, settings_of
+from helpers.online.dense import embed
+from helpers.online.scenes import Factory, assert_same_surface, balanced, reconstruct, settings_of
 from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError

@@ -8,9 +8,9 @@ import torch
 import trimesh
 from torch import Tensor
 
-import box_room
-from online.dense import DenseReconstructor, embed
-from online.scenes import (
+from helpers import box_room
+from helpers.online.dense import DenseReconstructor, embed
+from helpers.online.scenes import (
     FRAMES,
     Factory,
     assert_close_surface,

@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-import box_room
-from online.scenes import FRAMES, Factory, reconstruct
+from helpers import box_room
+from helpers.online.scenes import FRAMES, Factory, reconstruct
 from tf_lab.data.scene import Scene
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.selection import AttentionSelection, RandomSelection

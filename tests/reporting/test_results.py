@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from made_up_runs import ROWS, SCENES, scores, write_run
+from helpers.made_up_runs import ROWS, SCENES, scores, write_run
 from tf_lab.errors import TFLabError
 from tf_lab.reporting.results import find_runs, keep_run, read_run
 

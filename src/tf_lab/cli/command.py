@@ -64,15 +64,13 @@ def command(
     about = about or ""
 
     def composed(cfg: DictConfig) -> None:
-        _quieten()
         try:
             if not in_sweep():  # else each job does
                 overrides.check(unused)
             config: Any = typed(COMMANDS[name], cfg)
-            if jobs and in_sweep():
-                _imported(jobs)(config)
-            else:
-                _imported(target)(config)
+            work = _imported(jobs if jobs and in_sweep() else target)
+            _quieten()  # after the import, with which libraries set themselves up
+            work(config)
         except (TFLabError, OmegaConfBaseException, OSError) as error:
             _tell(_one_line(error, about))
             if in_sweep():

@@ -9,8 +9,8 @@ import trimesh
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-import box_room
-from online.dense import DenseReconstructor, Volumes, frustum_grid
+from helpers import box_room
+from helpers.online.dense import DenseReconstructor, Volumes, frustum_grid
 from tf_lab.data.scene import Scene
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
 from tf_lab.online.lattice.blocks import offsets

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from layouts.transforms import OPTIONS as OPTIONS
-from layouts.transforms import opengl
+from helpers.layouts.transforms import OPTIONS as OPTIONS
+from helpers.layouts.transforms import opengl
 from tf_lab.data.scene import Frame
 
 

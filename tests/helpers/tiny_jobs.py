@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_dir
+from tf_lab.config.datasets import identified
 
 from tf_lab.cli.command import conf_dir, plain
-from tf_lab.config.datasets import identified
 
 # A network and rooms so small that a training takes a second.
 TINY = (
@@ -86,6 +86,17 @@ def start(command: str, *arguments: str, cwd: Path, **variables: str) -> Result:
         text=True,
     )
     return Result(done.returncode, done.stdout, done.stderr)
+
+
+def told(result: Result, *expected: str) -> None:
+    """That the command failed with one line that says all of this."""
+    lines = result.err.splitlines()
+    assert len(lines) == 1, result.err
+    assert lines[0].startswith("error: ")
+    for text in expected:
+        assert text in lines[0], lines[0]
+    assert "Traceback" not in result.out
+    assert result.status == 2
 
 
 def tiny_config(*overrides: str) -> dict[str, Any]:

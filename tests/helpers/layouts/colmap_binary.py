@@ -4,8 +4,8 @@ import struct
 from collections.abc import Sequence
 from pathlib import Path
 
-from layouts import colmap_text
-from layouts.colmap_text import OPTIONS as OPTIONS
+from helpers.layouts import colmap_text
+from helpers.layouts.colmap_text import OPTIONS as OPTIONS
 from tf_lab.data.scene import Frame
 
 

@@ -7,7 +7,7 @@ user of that source has to add to `open_capture`.
 from functools import lru_cache
 from types import ModuleType
 
-from layouts import (
+from helpers.layouts import (
     arkit,
     colmap_binary,
     colmap_text,

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from layouts import tum
-from layouts.tum import OPTIONS as OPTIONS
+from helpers.layouts import tum
+from helpers.layouts.tum import OPTIONS as OPTIONS
 from tf_lab.data.scene import Frame
 
 

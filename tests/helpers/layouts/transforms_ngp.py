@@ -4,8 +4,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from layouts import transforms
-from layouts.transforms import OPTIONS as OPTIONS
+from helpers.layouts import transforms
+from helpers.layouts.transforms import OPTIONS as OPTIONS
 from tf_lab.data.scene import Frame
 
 SCALE = 0.25

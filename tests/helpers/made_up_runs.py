@@ -13,7 +13,7 @@ import yaml
 from hydra import compose, initialize_config_dir
 
 from tf_lab.cli.command import conf_dir, plain
-from tf_lab.experiments.identity import run_directory
+from tf_lab.experiments.identity import row_label, run_directory
 
 # The rows of the paper's tables, as one asks for them.
 ROWS = {
@@ -75,7 +75,12 @@ def write_run(
         "training": {"commit": commit, "command": f"python -m tf_lab.train output={output}"},
     }
     (run / "run.json").write_text(json.dumps(origin))
-    metrics = {"protocol": "transformerfusion", "mean": mean, "scenes": scenes}
+    metrics = {
+        "protocol": "transformerfusion",
+        "label": row_label(config),
+        "mean": mean,
+        "scenes": scenes,
+    }
     (run / "metrics.json").write_text(json.dumps(metrics))
     os.utime(run / "metrics.json", (written, written))
     return run

@@ -1,6 +1,6 @@
 """Damages copies of a capture and opens them: run as a process of its own, within limits.
 
-python mutate.py LAYOUT COUNT: prints, as JSON, what was not answered by a clear error.
+python -m helpers.mutate LAYOUT COUNT: prints, as JSON, what was not answered by a clear error.
 """
 
 import json
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from layouts import LAYOUTS, room_frames
+from helpers.layouts import LAYOUTS, room_frames
 from tf_lab.data.readers import open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
