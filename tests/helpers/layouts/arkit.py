@@ -6,15 +6,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-<<<<<<< HEAD:tests/layouts/arkit.py
-from layouts.transforms import opengl
-from layouts.video import write_video
-from tf_lab.data.reading import ReadSettings
-=======
 from helpers.layouts.transforms import opengl
 from helpers.layouts.video import write_video
 from tf_lab.data.reading import ReadSettings
->>>>>>> house-docs:tests/helpers/layouts/arkit.py
 from tf_lab.data.scene import Frame
 
 OPTIONS = ReadSettings()

@@ -7,13 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-<<<<<<< HEAD:tests/layouts/scanner_app.py
-from layouts.arkit import arkit_pose
-from tf_lab.data.reading import ReadSettings
-=======
 from helpers.layouts.arkit import arkit_pose
 from tf_lab.data.reading import ReadSettings
->>>>>>> house-docs:tests/helpers/layouts/scanner_app.py
 from tf_lab.data.scene import Frame
 
 OPTIONS = ReadSettings()  # the format says where down is

@@ -7,15 +7,9 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-<<<<<<< HEAD:tests/layouts/stray_scanner.py
-from layouts.arkit import ARKIT_R_WORLD
-from layouts.video import write_video
-from tf_lab.data.reading import ReadSettings
-=======
 from helpers.layouts.arkit import ARKIT_R_WORLD
 from helpers.layouts.video import write_video
 from tf_lab.data.reading import ReadSettings
->>>>>>> house-docs:tests/helpers/layouts/stray_scanner.py
 from tf_lab.data.scene import Frame
 
 OPTIONS = ReadSettings()  # the format says where down is
