@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from helpers.tiny_jobs import Result, call, tiny_config
+from tf_lab.commands.train import write_config
 from tf_lab.experiments.provenance import commit
 from tf_lab.experiments.reuse import commits_of, removal, say_reused
 from tf_lab.support.files import held
-from tf_lab.train import write_config
 
 
 @pytest.fixture

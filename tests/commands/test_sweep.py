@@ -111,7 +111,7 @@ def test_a_failing_job_does_not_end_the_others(train: Train) -> None:
 
 def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     configs, commands = [], []
-    monkeypatch.setattr("tf_lab.train._finished", lambda cfg: configs.append(plain(cfg)))
+    monkeypatch.setattr("tf_lab.commands.train._finished", lambda cfg: configs.append(plain(cfg)))
     monkeypatch.setattr(
         "tf_lab.experiments.jobs._run", lambda command, *_: commands.append(command) or 0
     )

@@ -18,9 +18,9 @@ from safetensors.torch import load_file
 
 from helpers.run_directory import check_run
 from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
+from tf_lab.commands.train import train as train_network
 from tf_lab.network.checkpoint import load_network
 from tf_lab.online.views.selection import uniform
-from tf_lab.train import train as train_network
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.module import Training
 
@@ -266,7 +266,7 @@ def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outp
     def interrupt(config: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tf_lab.train.train", interrupt)
+    monkeypatch.setattr("tf_lab.commands.train.train", interrupt)
     result = call("train", f"output={outputs}")
     assert result.status == 130
     assert result.err.strip() == "interrupted; the same command goes on from here"

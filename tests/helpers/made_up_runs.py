@@ -1,18 +1,17 @@
 """Made-up finished runs, for tests of the report: the files of real ones, scores of our choice."""
 
-import copy
 import functools
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
-from hydra import compose, initialize_config_dir
 
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.compose import compose_config
+from tf_lab.config.schema import TrainConfig
+from tf_lab.config.stored import write_config
 from tf_lab.experiments.identity import row_label, run_directory
 
 # The rows of the paper's tables, as one asks for them.
@@ -34,9 +33,8 @@ SCENES = ("room_2000000", "room_2000001", "room_2000002", "room_2000003")
 
 
 @functools.cache
-def _composed(overrides: str) -> dict[str, Any]:
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return plain(compose("train", overrides=overrides.split()))
+def _composed(overrides: str) -> TrainConfig:
+    return compose_config("train", *overrides.split())
 
 
 def scores(fscore: float) -> dict[str, float]:
@@ -61,13 +59,13 @@ def write_run(
     written: float = 1e9,
 ) -> Path:
     """Write a run to ``output/runs``; F-scores by scene, or of the first scenes in order."""
-    config = copy.deepcopy(_composed(overrides)) | {"seed": seed, "output": str(output)}
+    config = replace(_composed(overrides), seed=seed, output=str(output))
     by_scene = fscores if isinstance(fscores, Mapping) else dict(zip(SCENES, fscores, strict=False))
     scenes = {name: scores(value) for name, value in by_scene.items()}
     mean = {key: float(np.mean([s[key] for s in scenes.values()])) for key in scores(0)}
     run = run_directory(config)
     run.mkdir(parents=True)
-    (run / "config.yaml").write_text(yaml.safe_dump(config))
+    write_config(config, run / "config.yaml")
     origin = {
         "commit": commit,
         "command": f"python -m tf_lab.train {overrides} output={output}",

@@ -13,13 +13,12 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
-from tf_lab.config.datasets import identified
 
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.commands.train import identified
+from tf_lab.config.compose import compose_config
+from tf_lab.config.schema import TrainConfig
 
 # A network and rooms so small that a training takes a second.
 TINY = (
@@ -99,7 +98,6 @@ def told(result: Result, *expected: str) -> None:
     assert result.status == 2
 
 
-def tiny_config(*overrides: str) -> dict[str, Any]:
-    """The resolved config of the train command on the tiny rooms."""
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return identified(plain(compose("train", overrides=[*TINY, *overrides])))
+def tiny_config(*overrides: str) -> TrainConfig:
+    """The config of the train command on the tiny rooms, with what is in its data."""
+    return identified(compose_config("train", *TINY, *overrides))

@@ -9,7 +9,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
@@ -20,6 +19,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from tf_lab.cli import overrides, text_settings
 from tf_lab.cli.help import help_text
+from tf_lab.config.compose import conf_dir
 from tf_lab.config.schema import COMMANDS, register
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
@@ -28,15 +28,6 @@ from tf_lab.experiments.jobs import check_launcher
 
 class FailedJob(CompactHydraException):
     """A job of a sweep failed; Hydra ends the sweep with the message, and without a traceback."""
-
-
-def conf_dir() -> str:
-    """The directory of the shipped configs: inside an installed wheel, or beside ``src``."""
-    package = Path(__file__).resolve().parents[1]
-    for candidate in (package / "conf", package.parent.parent / "conf"):
-        if candidate.is_dir():
-            return str(candidate)
-    raise TFLabError("conf/: the configs are missing; install tf_lab again")
 
 
 def command(
@@ -83,7 +74,7 @@ def command(
 
     def main() -> None:
         os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
-        conf = Path(conf_dir())
+        conf = conf_dir()
         try:
             register()
             words = _words(COMMANDS[name])

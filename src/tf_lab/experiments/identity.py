@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,8 @@ def run_directory(config: TrainConfig) -> Path:
 def row_label(config: TrainConfig) -> str:
     """The row of the paper's tables that a config is."""
     fusion, policy = FUSIONS.named(config.fusion), POLICIES.named(config.select)
-    parts = [fusion.label] if fusion.name != "transformer" else []
+    named = fusion.name != "transformer"
+    parts = [" ".join([fusion.label or fusion.name, *_hyper(config.fusion)])] if named else []
     parts += [] if config.refine else ["w/o spatial ref."]
     parts += [] if config.filter else ["w/o C2F filter"]
     parts += [] if config.inputs.depth else ["w/o projected depth"]
@@ -65,7 +67,9 @@ def row_label(config: TrainConfig) -> str:
     parts += [] if config.encoder.name == "resnet" else [f"{config.encoder.name} encoder"]
     parts += ["+ matching"] if config.inputs.matching else []
     if config.views != PAPER_VIEWS or policy.name != "attention":
-        parts.append(", ".join([f"{config.views} images", *filter(None, [policy.label])]))
+        label = [] if policy.name == "attention" else [policy.label or policy.name]
+        selected = " ".join([*label, *_hyper(config.select)])
+        parts.append(f"{config.views} images" + (f", {selected}" if selected else ""))
     return "Ours" + (": " + ", ".join(parts) if parts else "")
 
 
@@ -80,3 +84,14 @@ def _changes(config: TrainConfig) -> list[str]:
     names += [] if config.refine else ["no_refine"]
     names += [] if config.filter else ["no_filter"]
     return names
+
+
+def _hyper(settings: Any) -> list[str]:
+    """The hyper-parameters of a part that are not its defaults."""
+    default = type(settings)()
+    names = [field.name for field in fields(settings)]
+    return [
+        f"{name}={getattr(settings, name)}"
+        for name in names
+        if getattr(settings, name) != getattr(default, name)
+    ]
