@@ -10,7 +10,7 @@ main = command(
     __doc__,
     "tf_lab.commands.train:run",
     resumable=True,
-    jobs="tf_lab.commands.train:sweep_job",
+    jobs="tf_lab.commands.train:JOBS",
 )
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from tf_lab.data import digests
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import run_directory, training_directory
-from tf_lab.network.checkpoint import read_info
+from tf_lab.support.headers import read_info
 
 OF_ROOMS = ("data.size", "data.val_size", "data.test_size", "data.frames", "data.test_frames")
 SETTINGS = (

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import logging
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from pkgutil import resolve_name
 from typing import Any, NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
@@ -23,7 +24,8 @@ from tf_lab.config.compose import conf_dir
 from tf_lab.config.schema import COMMANDS, register
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
-from tf_lab.experiments.jobs import check_launcher
+from tf_lab.experiments.launcher import check_launcher, in_sweep, run_job
+from tf_lab.support.processes import Children, end_with_parent
 
 
 class FailedJob(CompactHydraException):
@@ -50,7 +52,7 @@ def command(
         target: the function, as ``package.module:name``; its argument is the typed config.
         unused: settings (or groups of them) that the command does not read.
         resumable: an interrupted command, given again, goes on where it was.
-        jobs: the `SweepJobs` of a command whose sweeps run each job as a process of its own.
+        jobs: where the `SweepJobs` are of a command whose sweeps run each job as a process.
     """
     about = about or ""
 
@@ -59,7 +61,11 @@ def command(
             if not in_sweep():  # else each job does
                 overrides.check(unused)
             config: Any = typed(COMMANDS[name], cfg)
-            work = _imported(jobs if jobs and in_sweep() else target)
+            if jobs and in_sweep():  # in a worker of Slurm or Ray
+                job = HydraConfig.get()
+                run_job(resolve_name(jobs), config, job, Children(), prefix=f"{job.job.num}: ")
+                return
+            work = resolve_name(target)
             _quieten()  # after the import, with which libraries set themselves up
             work(config)
         except (TFLabError, OmegaConfBaseException, OSError) as error:
@@ -67,12 +73,11 @@ def command(
             if in_sweep():
                 raise FailedJob("a job of the sweep failed, see above") from None
             sys.exit(2)
-        except KeyboardInterrupt:
-            more = "; the same command goes on from here" if resumable else ""
-            print(f"\ninterrupted{more}", file=sys.stderr)
-            sys.exit(130)
+
+    composed.jobs = jobs  # type: ignore[attr-defined]  # for the launcher
 
     def main() -> None:
+        end_with_parent()
         os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
         conf = conf_dir()
         try:
@@ -87,15 +92,14 @@ def command(
         except (HydraException, OmegaConfBaseException, TFLabError) as error:
             _tell(overrides.explain(error, conf, name))
             sys.exit(2)
+        except KeyboardInterrupt:
+            more = "; the same command goes on from here" if resumable else ""
+            print(f"\ninterrupted{more}", file=sys.stderr)
+            sys.exit(130)
         except BrokenPipeError:  # whoever reads has seen enough
             os._exit(1)
 
     return main
-
-
-def _imported(target: str) -> Callable[[Any], None]:
-    module, _, name = target.partition(":")
-    return getattr(importlib.import_module(module), name)
 
 
 def _words(schema: type) -> argparse.Namespace:
@@ -151,11 +155,3 @@ def _quieten() -> None:
         ".*The dirpath has changed from .*",  # a training goes on from another's state
     ):
         warnings.filterwarnings("ignore", message=message)
-
-
-def in_sweep() -> bool:
-    """Whether this is one job of several: then an error must not end the others."""
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
-
-    return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN

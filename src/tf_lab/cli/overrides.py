@@ -21,8 +21,8 @@ from omegaconf.errors import ValidationError
 
 from tf_lab.cli.help import is_within
 from tf_lab.errors import TFLabError
+from tf_lab.experiments.launcher import JOB, task_overrides
 
-JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
 FOUND_OUT = "content"  # of the data, when a run begins
 
 
@@ -46,19 +46,12 @@ def check(unused: Sequence[str] = ()) -> None:
         TFLabError: one is not.
     """
     job = HydraConfig.get()
-    for override in OverridesParser.create().parse_overrides(task_words(job)):
+    for override in OverridesParser.create().parse_overrides(task_overrides(job)):
         name = override.key_or_group
         if is_within(name, (*unused, FOUND_OUT)) and name not in job.runtime.choices:
             raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
-        if name == "launcher" and JOB not in sys.argv:
+        if is_within(name, ["launcher"]) and JOB not in sys.argv:
             raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
-
-
-def task_words(hydra: Any) -> list[str]:
-    """The settings in Hydra's command line, of which nothing is replaced by another's value."""
-    words = OmegaConf.to_container(hydra.overrides.task, resolve=False)
-    assert isinstance(words, list)
-    return [str(word) for word in words]
 
 
 def check_groups(words: Sequence[str], conf: Path) -> None:

@@ -25,9 +25,9 @@ from tf_lab.evaluation.pictures import loss_curve
 from tf_lab.evaluation.protocol import format_table
 from tf_lab.evaluation.testing import read_metrics, test_network
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
-from tf_lab.experiments.jobs import end_with_parent, run_job
+from tf_lab.experiments.launcher import SweepJobs
 from tf_lab.experiments.provenance import provenance
-from tf_lab.experiments.reuse import earlier_state, say_reused
+from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, held, remove_abandoned, write_json
@@ -47,13 +47,12 @@ log = logging.getLogger(__name__)
 def run(config: TrainConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     torch.set_float32_matmul_precision("high")
-    end_with_parent()
     build_network(config), config.training.chunk  # what is wrong is told before data is made
     config = identified(config)
     start = time.time()
     run = run_directory(config)
     if read_metrics(run) is not None:
-        say_reused("evaluation", run)
+        print_reuse("evaluation", run)
     else:
         tested = open_source(config.data, config.content).has("test")
         if not tested and not _is_helper():
@@ -74,19 +73,6 @@ def run(config: TrainConfig) -> None:
     print(f"pictures: {run / 'pictures'}   ({(time.time() - start) / 60:.1f} minutes in all)")
 
 
-def sweep_job(config: TrainConfig) -> None:
-    """Do one job of a sweep, in a process of its own."""
-
-    def finished() -> Path | None:
-        try:
-            run = run_directory(identified(config))
-            return run if read_metrics(run) is not None else None
-        except TFLabError:
-            return None  # the job's own process says what is wrong
-
-    run_job("tf_lab.train", row_label(config), config.seed, finished)
-
-
 def identified(config: TrainConfig) -> TrainConfig:
     """A config that says what is in its data and files, and on how many devices it trains.
 
@@ -101,12 +87,21 @@ def identified(config: TrainConfig) -> TrainConfig:
     return replace(config, content=content, trainer=trainer)
 
 
+def finished(config: TrainConfig) -> Path | None:
+    """The directory of a config's evaluation, if that is finished."""
+    run = run_directory(identified(config))
+    return run if read_metrics(run) is not None else None
+
+
+JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
+
+
 def evaluate_training(config: TrainConfig, checkpoint: Path) -> Path:
     """The run directory of the config's evaluation: found, or made now."""
     run = run_directory(config)
     with held(run, "evaluates"):
         if read_metrics(run) is not None:
-            say_reused("evaluation", run)
+            print_reuse("evaluation", run)
             return run
         network, info = load_network(checkpoint)
         scenes = [*open_source(config.data, config.content).scenes("test")["test"].values()]
@@ -129,7 +124,7 @@ def train(config: TrainConfig) -> Path:
         return checkpoint
     with held(directory, "trains"):
         if checkpoint.exists():
-            say_reused("training", directory)
+            print_reuse("training", directory)
             return checkpoint
         remove_abandoned(directory)  # by a training that was killed while it saved
         write_config(config, directory / "config.yaml")

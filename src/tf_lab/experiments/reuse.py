@@ -15,7 +15,7 @@ from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of, training_identity
 from tf_lab.experiments.provenance import code_version, commit
-from tf_lab.network.checkpoint import read_info
+from tf_lab.support.headers import read_info
 
 Origin = Mapping[str, Any]
 
@@ -42,7 +42,7 @@ def removal(directory: Path) -> str:
     return f"python -m tf_lab.runs rm {shlex.quote(str(directory))}"
 
 
-def say_reused(what: str, directory: Path) -> None:
+def print_reuse(what: str, directory: Path) -> None:
     """Print that a finished training or evaluation is reused, and whether another code made it."""
     print(f"reusing the identical finished {what} {directory}", flush=True)
     try:
