@@ -34,7 +34,8 @@ from tf_lab.evaluation.protocol import evaluate_scene, format_table
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.online.captures import Reconstruction, TestSettings, reconstruct
+from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.files import atomic_path, check_file
 from tf_lab.support.progress import progress_bar
 
@@ -99,7 +100,9 @@ def _open(config: dict[str, Any], info: dict[str, Any]) -> Capture:
     return Resized(capture, (data["width"], data["height"]))
 
 
-def _reconstruct(network: Network, capture: Capture, settings: TestSettings) -> Reconstruction:
+def _reconstruct(
+    network: Network, capture: Capture, settings: ReconstructionSettings
+) -> Reconstruction:
     with progress_bar() as bar:
         task = bar.add_task("adding keyframes", total=None)
 

@@ -13,8 +13,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import shipped_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.weights import load_encoder_weights
-from tf_lab.network.network import Network, NetworkConfig
-from tf_lab.online.captures import TestSettings
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views import make_policy
 from tf_lab.training.initial import initial_path, initialise
@@ -46,7 +46,7 @@ def build_network(config: Config) -> Network:
             NetworkConfig(
                 **model,
                 encoder=encoder_settings(config),
-                fusion=config["fusion"]["strategy"],
+                fusion=config["fusion"],
                 depth=config["inputs"]["depth"],
                 ray=config["inputs"]["ray"],
                 matching=config["inputs"]["matching"],
@@ -130,13 +130,13 @@ def ready(network: Network, config: Config, device: torch.device) -> Network:
     return network.to(device)
 
 
-def test_settings(config: Config) -> TestSettings:
+def test_settings(config: Config) -> ReconstructionSettings:
     """How scenes are reconstructed at test time."""
-    return TestSettings(
-        reconstruction=reconstruction_settings(
-            config, views=config["views"], threshold=config["threshold"]
-        ),
-        select=config["select"]["policy"],
+    return reconstruction_settings(
+        config,
+        views=config["views"],
+        threshold=config["threshold"],
+        select=config["select"],
         seed=config["seed"],
         keyframe_distance=config["keyframe_distance"],
     )

@@ -12,7 +12,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.support.files import atomic_path
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"

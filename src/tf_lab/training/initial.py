@@ -21,7 +21,8 @@ from torch import Tensor
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.encoders.weights import read_state_dict
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 
 Config = Mapping[str, Any]
 SHIPPED = "shipped"
