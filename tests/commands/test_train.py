@@ -79,8 +79,8 @@ def test_every_ablation_runs(train: Train, overrides: str) -> None:
     assert (result.path("training") / "loss.png").exists()
     network, _ = load_network(result.path("training") / "model.safetensors")
     changed = {
-        "fusion=avg": network.config.fusion == "avg",
-        "fusion=pred": network.config.fusion == "pred",
+        "fusion=avg": network.config.fusion == {"strategy": "avg"},
+        "fusion=pred": network.config.fusion == {"strategy": "pred"},
         "inputs=no_depth": not network.config.depth,
         "inputs=no_ray": not network.config.ray,
         "refine=false": not network.config.refine,

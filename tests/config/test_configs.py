@@ -228,10 +228,10 @@ def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
     options = {"precision": "bfloat16", "maps_device": "cpu", "maps_budget": 0.5, "batch": 7}
     overrides = [f"online.{name}={value}" for name, value in options.items()]
     for command in ("train", "reconstruct"):
-        found = capture_settings(composed(command, *overrides)).reconstruction
+        found = capture_settings(composed(command, *overrides))
         assert (found.precision, found.maps, found.maps_device) == ("bfloat16", "bfloat16", "cpu")
         assert (found.maps_budget, found.batch) == (2**29, 7)
-        default = capture_settings(composed(command)).reconstruction
+        default = capture_settings(composed(command))
         assert default == ReconstructionSettings(views=16)
     assert composed("benchmark").online == replace(composed().online, precision="auto")
 

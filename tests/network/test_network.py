@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from helpers.toy_views import COARSE, FINE, toy
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
-from tf_lab.network.network import LEVELS, NetworkConfig, Predictions, subgrid
+from tf_lab.network.network import LEVELS, Predictions, subgrid
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.losses import losses
 
 Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module

@@ -28,7 +28,8 @@ from tf_lab.evaluation.protocol import evaluate_scene, format_table
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings, Reconstruction, reconstruct
+from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file
 from tf_lab.support.progress import progress_bar
@@ -93,7 +94,9 @@ def _open(config: ReconstructConfig, info: dict[str, Any]) -> Capture:
     return Resized(capture, (data["width"], data["height"]))
 
 
-def _reconstruct(network: Network, capture: Capture, settings: CaptureSettings) -> Reconstruction:
+def _reconstruct(
+    network: Network, capture: Capture, settings: ReconstructionSettings
+) -> Reconstruction:
     with progress_bar() as bar:
         task = bar.add_task("adding keyframes", total=None)
 

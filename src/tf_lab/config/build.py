@@ -13,8 +13,8 @@ from tf_lab.network.checkpoint import shipped_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.weights import load_encoder_weights
-from tf_lab.network.network import Network, NetworkConfig
-from tf_lab.online.captures import CaptureSettings
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.devices import device_of
 
@@ -31,7 +31,7 @@ def build_network(config: NetworkSettings) -> Network:
             **sizes,
             **asdict(config.inputs),
             encoder=config.encoder.architecture(),
-            fusion=config.fusion.strategy,
+            fusion=asdict(config.fusion),
             refine=config.refine,
             filter=config.filter,
         )
@@ -64,12 +64,13 @@ def reconstruction_settings(
     )
 
 
-def capture_settings(config: TrainConfig | ReconstructConfig) -> CaptureSettings:
+def capture_settings(config: TrainConfig | ReconstructConfig) -> ReconstructionSettings:
     """How captures are reconstructed at test time."""
-    return CaptureSettings(
-        reconstruction=reconstruction_settings(
-            config.online, config.resolution, views=config.views, threshold=config.threshold
-        ),
+    return reconstruction_settings(
+        config.online,
+        config.resolution,
+        views=config.views,
+        threshold=config.threshold,
         select=config.select,
         seed=config.seed,
         keyframe_distance=config.keyframe_distance,

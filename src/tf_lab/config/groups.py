@@ -7,6 +7,7 @@ from typing import Any
 
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
+from tf_lab.online.views import POLICIES
 from tf_lab.support.settings import lists_to_tuples, setting
 
 
@@ -50,9 +51,9 @@ class TrainingSettings(ChunkSettings):
         """How chunks are drawn, and nothing else; rules without weight are left out.
 
         Raises:
-            TFLabError: no rule has any.
+            TFLabError: no rule has any, or one is no policy of view selection.
         """
-        rules = {name: weight for name, weight in self.rules.items() if weight > 0}
+        rules = {name: w for name, w in self.rules.items() if w > 0 and POLICIES[name]}
         if not rules:
             raise TFLabError("training.rules: all weights are 0; give at least one rule some")
         names = ChunkSettings.__dataclass_fields__

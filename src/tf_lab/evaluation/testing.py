@@ -18,7 +18,8 @@ from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import PROTOCOL, evaluate_scene
 from tf_lab.meshes.files import read_mesh
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings, Reconstruction, median_views, reconstruct
+from tf_lab.online.captures import Reconstruction, median_views, reconstruct
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.files import atomic_path, write_json
 from tf_lab.support.progress import progress_bar
 
@@ -28,7 +29,7 @@ log = logging.getLogger(__name__)
 def test_network(
     network: Network,
     scenes: Sequence[Path],
-    settings: CaptureSettings,
+    settings: ReconstructionSettings,
     run: Path,
     label: str,
 ) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from typing import Any
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.support.files import atomic_path
 from tf_lab.support.headers import read_header
 

@@ -24,7 +24,8 @@ from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.encoders.weights import read_state_dict
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 
 SHIPPED = "shipped"
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file

@@ -22,7 +22,8 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings, reconstruct
+from tf_lab.online.captures import reconstruct
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views import make_policy
 from tf_lab.online.views.batch import BatchSelection
 from tf_lab.support.progress import Once, Pace, progress_bar
@@ -56,7 +57,7 @@ class Training(L.LightningModule):
         network: Network,
         optimizer: OptimizerSettings,
         sdf_weight: float,
-        test: CaptureSettings,
+        test: ReconstructionSettings,
         maps_memory: int = 0,
     ) -> None:
         super().__init__()

@@ -17,13 +17,14 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
+from tf_lab.meshes.colors import color_vertices
 from tf_lab.meshes.isosurface import mesh_of
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import upsample
 from tf_lab.network.tokens import Measurements, measure
-from tf_lab.online.mesher import cells_per_voxel, color_vertices
-from tf_lab.online.settings import DTYPES, ReconstructionSettings
-from tf_lab.online.views.selection import RandomSelection, SelectionPolicy
+from tf_lab.online.settings import ReconstructionSettings, cells_per_voxel
+from tf_lab.online.views import make_policy
+from tf_lab.online.views.selection import RandomSelection
 from tf_lab.online.views.store import ViewStore
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
@@ -95,7 +96,6 @@ class DenseReconstructor:
         network: on its device, in evaluation mode.
         grid: coarse voxels of the scene, see `frustum_grid`.
         settings: test-time settings.
-        policy: view selection; a network without preferences (``fusion=avg``) gets random views.
     """
 
     def __init__(
@@ -103,12 +103,12 @@ class DenseReconstructor:
         network: Network,
         grid: VoxelGrid,
         settings: ReconstructionSettings,
-        policy: SelectionPolicy,
     ) -> None:
         self.network, self.grid, self.settings = network, grid, settings
         self.device = next(network.parameters()).device
+        policy = make_policy(settings.select, settings.seed)
         if policy.needs_logits and self._heads("coarse") == 0:
-            policy = RandomSelection()
+            policy = RandomSelection(settings.seed)
         self.policy = policy
         self.images: list[Tensor] = []
         self.maps: list[dict[str, Tensor]] = []
@@ -198,7 +198,7 @@ class DenseReconstructor:
 
     def _store(self, level: str, points: Tensor) -> ViewStore:
         heads = self._heads(level) if self.policy.needs_logits else 0
-        dtype = DTYPES[self.settings.logits]
+        dtype = getattr(torch, self.settings.logits)
         store = ViewStore(self.settings.views, heads, self.policy, logits=dtype)
         store.grow(len(points))
         return store

@@ -17,7 +17,6 @@ from tf_lab.online.lattice.blocks import offsets
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.views.selection import AttentionSelection, SelectionPolicy
 
 Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module
 
@@ -39,10 +38,9 @@ def reconstruct(
     network: Any,
     scene: Scene,
     frames: Sequence[int] = FRAMES,
-    policy: SelectionPolicy | None = None,
     **settings: Any,
 ) -> Reconstructor:
-    return add(Reconstructor(network, settings_of(**settings), policy), scene, frames)
+    return add(Reconstructor(network, settings_of(**settings)), scene, frames)
 
 
 def dense_grid(scene: Scene, far: float = FAR) -> VoxelGrid:
@@ -53,13 +51,9 @@ def dense_grid(scene: Scene, far: float = FAR) -> VoxelGrid:
 def dense(
     network: Any,
     scene: Scene,
-    policy: SelectionPolicy | None = None,
     **settings: Any,
 ) -> DenseReconstructor:
-    policy = policy or AttentionSelection()
-    return add(
-        DenseReconstructor(network, dense_grid(scene), settings_of(**settings), policy), scene
-    )
+    return add(DenseReconstructor(network, dense_grid(scene), settings_of(**settings)), scene)
 
 
 def trained_to_match(network: Any) -> Any:
@@ -77,7 +71,7 @@ def balanced(network: Any, scene: Scene) -> Any:
         said: list[Tensor] = []
         handle = head.register_forward_hook(lambda _m, _i, out, said=said: said.append(out))
         settings = settings_of(resolution=0.1)
-        add(DenseReconstructor(network, grid, settings, AttentionSelection()), scene).mesh()
+        add(DenseReconstructor(network, grid, settings), scene).mesh()
         handle.remove()
         with torch.no_grad():  # voxels without features all say the same: count them once
             head.bias.sub_(torch.cat([out.flatten() for out in said]).unique().median().item())

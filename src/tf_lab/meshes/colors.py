@@ -1,4 +1,4 @@
-"""The mesh's resolution and its colours."""
+"""Colours of a mesh's vertices."""
 
 from __future__ import annotations
 
@@ -9,22 +9,7 @@ import torch
 import trimesh
 from torch import Tensor
 
-from tf_lab.errors import TFLabError
 from tf_lab.geometry import invert_pose, project, sample_maps
-
-
-def cells_per_voxel(voxel: float, resolution: float) -> int:
-    """How many marching-cubes cells of edge ``resolution`` lie along a voxel's edge (metres).
-
-    Raises:
-        TFLabError: not a whole number.
-    """
-    n = round(voxel / resolution) if resolution > 0 else 0
-    if n < 1 or abs(n * resolution - voxel) > 1e-6:
-        raise TFLabError(
-            f"resolution={resolution}: the fine voxel of {voxel} m must be a multiple of it"
-        )
-    return n
 
 
 def color_vertices(
