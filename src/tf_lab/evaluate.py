@@ -14,7 +14,8 @@ from rich.progress import track
 
 from tf_lab.cli.command import command
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.protocol import evaluate, format_table
+from tf_lab.evaluation.protocol import evaluate
+from tf_lab.evaluation.scores import format_table
 from tf_lab.support.files import check_file, write_json
 
 

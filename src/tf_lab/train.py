@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from tf_lab.cli.command import command, device_of, in_sweep, plain
+from tf_lab.cli.command import command, in_sweep, plain
 from tf_lab.config.build import (
     build_network,
     make_network,
@@ -33,16 +34,16 @@ from tf_lab.config.build import (
 )
 from tf_lab.config.datasets import has_scenes, identified, prepare_data, training_chunks
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.pictures import loss_curve
-from tf_lab.evaluation.protocol import format_table
-from tf_lab.evaluation.testing import read_metrics, test_network
+from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import portable, row_label, run_directory, training_directory
 from tf_lab.experiments.jobs import check_launcher, end_with_parent, run_job
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import earlier_state, say_reused
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.support.files import atomic_path, held, remove_abandoned, write_json
+from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
+from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, first_says
 from tf_lab.training.initial import check_state, initial_state
 from tf_lab.training.loggers import log_scores, make_loggers
 from tf_lab.training.module import Sittings, Training, TrainingProgress
@@ -70,12 +71,13 @@ def main(cfg: DictConfig) -> None:
         if not tested and not _is_helper():
             print("no score will be made: there is no test scene (data.test, data.test_size)")
         checkpoint = train(config)
+        if tested:
+            evaluate_training(config, checkpoint)
         if _is_helper():
             return  # the first process of a distributed training does the rest
         if not tested:
             print(f"training: {checkpoint.parent}")
             return
-        evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
     log_scores(config, run, metrics["mean"])
@@ -97,19 +99,27 @@ def _finished(cfg: DictConfig) -> Path | None:
 def evaluate_training(config: Config, checkpoint: Path) -> Path:
     """The run directory of the config's evaluation: found, or made now."""
     run = run_directory(config)
-    with held(run, "evaluates"):
-        if read_metrics(run) is not None:
+    with nullcontext() if _is_helper() else held(run, "evaluates"):
+        if first_says(_is_helper() or read_metrics(run) is None):
+            _evaluate(config, checkpoint, run)
+        elif not _is_helper():
             say_reused("evaluation", run)
-            return run
-        network, info = load_network(checkpoint)
-        scenes = prepare_data(config, ("test",))["test"]
+    return run
+
+
+def _evaluate(config: Config, checkpoint: Path, run: Path) -> None:
+    network, info = load_network(checkpoint)
+    scenes = prepare_data(config, ("test",))["test"]
+    if not _is_helper():
         write_config(run, config)
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
         write_json(run / "run.json", {**origin, **info})
-        device = device_of("cpu" if config["trainer"]["accelerator"] == "cpu" else "auto")
-        network = ready(network, config, device)
-        test_network(network, scenes, test_settings(config), run, row_label(config))
-    return run
+    network = ready(network, config, torch.device("cpu"))  # the trainer brings it to its device
+    settings = test_settings(config)
+    module = SceneEvaluation(network, settings, run=run, label=row_label(config))
+    places = ("accelerator", "devices", "num_nodes", "strategy")
+    devices = {key: config["trainer"][key] for key in places if key in config["trainer"]}
+    evaluate_network(module, scenes, **devices)
 
 
 def train(config: Config) -> Path:

@@ -170,7 +170,7 @@ def test_another_seed_changes_all_that_is_random(monkeypatch: pytest.MonkeyPatch
             module.network.state_dict(),
             [batch.world_T_cam for batch in islice(data.train_dataloader(), 3)],
             [(batch.keep, batch.draws.tolist()) for batch in islice(data.train_dataloader(), 20)],
-            uniform(module.test_settings.seed, *lattice),
+            uniform(module.capture_settings.seed, *lattice),
         )
         for module, data in made
         for lattice in [(torch.arange(30).view(10, 3), torch.arange(10))]

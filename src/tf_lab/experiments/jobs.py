@@ -27,7 +27,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.cli.overrides import JOB, task_words
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.testing import read_metrics
+from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.gpus import one_gpu
 from tf_lab.experiments.reuse import say_reused
 from tf_lab.support.files import write_json
