@@ -236,12 +236,16 @@ def test_without_a_val_room(train: Train, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("outputs")
 def test_two_processes_train_together(tmp_path: Path) -> None:
-    """The first holds the locks and does the rest alone."""
-    result = start("train", *TINY, "trainer.devices=2", "trainer.strategy=ddp", cwd=tmp_path)
-    assert result.status == 0, result.err
-    assert "GLOBAL_RANK: 1, MEMBER: 2/2" in result.err
-    assert result.out.count("Method ") == 1
-    check_run(tmp_path / result.path("run"))
+    """The first holds the locks and writes; both evaluate, after a training or alone."""
+    two = ("trainer.devices=2", "trainer.strategy=ddp", "data.test_size=3")
+    for more in ((), ("views=4",)):
+        result = start("train", *TINY, *two, *more, cwd=tmp_path)
+        assert result.status == 0, result.err
+        assert "GLOBAL_RANK: 1, MEMBER: 2/2" in result.err
+        assert result.out.count("Method ") == 1
+        metrics = json.loads((tmp_path / result.path("run") / "metrics.json").read_text())
+        assert [*metrics["scenes"]] == [f"room_200000{i}" for i in range(3)]
+    assert "reusing the identical finished training" in result.out
 
 
 @pytest.mark.slow
