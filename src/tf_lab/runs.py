@@ -16,8 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.protocol import format_table
-from tf_lab.evaluation.testing import read_metrics
+from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.inventory import (
     RUNS,
     TRAININGS,
@@ -29,6 +28,7 @@ from tf_lab.experiments.inventory import (
 )
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.support.files import remove_directory
+from tf_lab.support.tables import aligned
 
 
 def main() -> None:
@@ -97,23 +97,14 @@ def listing(output: Path) -> str:
     for entry in runs:
         score = f"{entry.fscore:.3f}" if entry.fscore is not None else ""
         second.append([*_start(entry), score, entry.label])
-    return "\n".join(
-        [f"{output / TRAININGS}:", *_aligned(first), "", f"{output / RUNS}:", *_aligned(second)]
-    )
+    tables = {TRAININGS: aligned(first, "l"), RUNS: aligned(second, "l")}
+    return "\n\n".join(f"{output / name}:\n{table}" for name, table in tables.items())
 
 
 def _start(entry: Entry) -> list[str]:
     state = entry.state + (f", {entry.user} works on it" if entry.user else "")
     makers = entry.origin.get("sittings", [entry.origin] if entry.origin else [])
     return [entry.directory.name, state, commits_of(makers)]
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
 
 
 def details(entry: Entry) -> str:

@@ -47,7 +47,7 @@ def surroundings(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("TF_LAB_CACHE", str(cache))
     monkeypatch.setenv("WANDB_SILENT", "true")
     small = functools.partial(pictures.compare, size=(96, 72))
-    monkeypatch.setattr("tf_lab.evaluation.testing.compare", small)
+    monkeypatch.setattr("tf_lab.evaluation.scenes.compare", small)
     monkeypatch.setattr("tf_lab.commands.reconstruct.compare", small)
     monkeypatch.setattr("tf_lab.commands.prepare.compare", small)
     monkeypatch.setattr(protocol, "SAMPLES", 20_000)

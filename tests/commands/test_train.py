@@ -141,7 +141,7 @@ def test_another_seed_changes_all_that_is_random(monkeypatch: pytest.MonkeyPatch
             module.network.state_dict(),
             [batch.world_T_cam for batch in islice(data.train_dataloader(), 3)],
             [(batch.keep, batch.draws.tolist()) for batch in islice(data.train_dataloader(), 20)],
-            uniform(module.test_settings.seed, *lattice),
+            uniform(module.capture_settings.seed, *lattice),
         )
         for module, data in made
         for lattice in [(torch.arange(30).view(10, 3), torch.arange(10))]
@@ -207,12 +207,16 @@ def test_without_a_val_room(train: Train, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("outputs")
 def test_two_processes_train_together(tmp_path: Path) -> None:
-    """The first holds the locks and does the rest alone."""
-    result = start("train", *TINY, "trainer.devices=2", "trainer.strategy=ddp", cwd=tmp_path)
-    assert result.status == 0, result.err
-    assert "GLOBAL_RANK: 1, MEMBER: 2/2" in result.err
-    assert result.out.count("Method ") == 1
-    check_run(tmp_path / result.path("run"))
+    """The first holds the locks and writes; both evaluate, after a training or alone."""
+    two = ("trainer.devices=2", "trainer.strategy=ddp", "data.test_size=3")
+    for more in ((), ("views=4",)):
+        result = start("train", *TINY, *two, *more, cwd=tmp_path)
+        assert result.status == 0, result.err
+        assert "GLOBAL_RANK: 1, MEMBER: 2/2" in result.err
+        assert result.out.count("Method ") == 1
+        metrics = json.loads((tmp_path / result.path("run") / "metrics.json").read_text())
+        assert [*metrics["scenes"]] == [f"room_200000{i}" for i in range(3)]
+    assert "reusing the identical finished training" in result.out
 
 
 @pytest.mark.slow

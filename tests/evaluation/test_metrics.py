@@ -3,15 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tf_lab.evaluation.metrics import (
-    KEYS,
-    distances,
-    empty_metrics,
-    fscore,
-    mean_metrics,
-    reconstruction_metrics,
-    visibility,
-)
+from tf_lab.evaluation import PAPER
+from tf_lab.evaluation.metrics import Comparison, distances, visibility
+from tf_lab.evaluation.scores import mean_scores, score
 
 EMPTY = {"acc": 100, "compl": 100, "chamfer": 100, "prec": 1, "recall": 0, "fscore": 0}
 
@@ -21,14 +15,14 @@ def plane(height: float, nx: int = 21, ny: int = 21, step: float = 0.05) -> np.n
     return np.stack([x, y, np.full_like(x, height)], axis=-1).reshape(-1, 3)
 
 
-def score(predicted: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    return reconstruction_metrics(predicted, np.ones(len(predicted), bool), truth)
+def scored(predicted: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    return score(Comparison(predicted, np.ones(len(predicted), bool), truth))
 
 
 @pytest.mark.parametrize(("shift", "match"), [(0.0, 1.0), (0.03, 1.0), (0.07, 0.0)])
 def test_a_shifted_plane_is_off_by_its_shift(shift: float, match: float) -> None:
-    result = score(plane(shift), plane(0.0))
-    assert tuple(result) == KEYS
+    result = scored(plane(shift), plane(0.0))
+    assert tuple(result) == PAPER
     for key in ("acc", "compl", "chamfer"):
         assert result[key] == pytest.approx(100 * shift)  # centimetres
     for key in ("prec", "recall", "fscore"):
@@ -38,7 +32,7 @@ def test_a_shifted_plane_is_off_by_its_shift(shift: float, match: float) -> None
 def test_half_a_plane_is_precise_but_recalls_half() -> None:
     truth = plane(0.0, nx=40, step=0.1)
     half = truth[truth[:, 0] < 1.95]  # 20 of 40 columns; the others are 0.1, 0.2, ... 1 m away
-    result = score(half, truth)
+    result = scored(half, truth)
     compl = 100 * sum(min(0.1 * k, 1.0) for k in range(1, 21)) / 40
     assert result["acc"] == pytest.approx(0)
     assert result["compl"] == pytest.approx(compl)
@@ -50,47 +44,47 @@ def test_half_a_plane_is_precise_but_recalls_half() -> None:
 def test_distances_are_capped_at_a_metre() -> None:
     found = distances(np.array([[0, 0, 0.5], [0, 0, 1.0], [0, 0, 30.0]]), np.zeros((1, 3)))
     np.testing.assert_allclose(found, [0.5, 1, 1])
-    assert score(plane(30.0), plane(0.0))["acc"] == 100
+    assert scored(plane(30.0), plane(0.0))["acc"] == 100
 
 
 def test_the_threshold_is_inclusive() -> None:
     step = np.nextafter(0.05, 1)
-    assert score(np.array([[0, 0, 0.05]]), np.zeros((1, 3)))["prec"] == 1
-    assert score(np.array([[0, 0, step]]), np.zeros((1, 3)))["prec"] == 0
+    assert scored(np.array([[0, 0, 0.05]]), np.zeros((1, 3)))["prec"] == 1
+    assert scored(np.array([[0, 0, step]]), np.zeros((1, 3)))["prec"] == 0
 
 
 def test_an_empty_prediction_has_precision_one_and_the_worst_rest() -> None:
-    assert empty_metrics() == EMPTY
-    assert score(np.zeros((0, 3)), plane(0.0)) == EMPTY
+    assert score(None) == EMPTY
 
 
-def test_the_ground_truth_must_not_be_empty() -> None:
-    with pytest.raises(ValueError, match="ground truth"):
-        score(plane(0.0), np.zeros((0, 3)))
+def test_neither_side_may_be_empty() -> None:
+    for sides, which in (((0, 5), "prediction"), ((5, 0), "ground truth")):
+        predicted, truth = (np.zeros((n, 3)) for n in sides)
+        with pytest.raises(ValueError, match=which):
+            scored(predicted, truth)
 
 
 def test_occluded_points_leave_accuracy_and_precision_only() -> None:
     truth = np.concatenate([plane(0.0), plane(0.5)])
     predicted = np.concatenate([plane(0.0), plane(0.5), plane(0.2)])  # the last is 20 cm off
     visible = np.arange(len(predicted)) < len(plane(0.0))  # only the first is observed
-    result = reconstruction_metrics(predicted, visible, truth)
+    result = score(Comparison(predicted, visible, truth))
     assert result["acc"] == result["compl"] == 0  # the occluded one at 0.5 still completes
     assert result["prec"] == result["recall"] == 1
 
 
 def test_all_points_count_if_none_is_visible() -> None:
     none = np.zeros(len(plane(0.0)), bool)
-    assert reconstruction_metrics(plane(0.03), none, plane(0.0))["acc"] == pytest.approx(3)
+    assert score(Comparison(plane(0.03), none, plane(0.0)))["acc"] == pytest.approx(3)
 
 
-def test_fscore_of_nothing_is_zero() -> None:
-    assert fscore(0.0, 0.0) == 0
-    assert fscore(0.5, 1.0) == pytest.approx(2 / 3)
+def test_the_fscore_of_nothing_is_zero() -> None:
+    assert scored(plane(0.5), plane(0.0))["fscore"] == 0
 
 
 def test_the_mean_fscore_is_not_the_fscore_of_the_means() -> None:
-    good, bad = dict(empty_metrics(), prec=1.0, recall=1.0, fscore=1.0), empty_metrics()
-    assert mean_metrics([good, bad])["fscore"] == 0.5  # of the means: 2 * 1 * .5 / 1.5
+    good, bad = dict(score(None), prec=1.0, recall=1.0, fscore=1.0), score(None)
+    assert mean_scores([good, bad])["fscore"] == 0.5  # of the means: 2 * 1 * .5 / 1.5
 
 
 def trilinear(volume: np.ndarray, index: np.ndarray) -> float:

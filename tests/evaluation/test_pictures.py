@@ -1,4 +1,3 @@
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +6,7 @@ import trimesh
 from PIL import Image
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.pictures import compare, loss_curve
+from tf_lab.evaluation.pictures import compare
 from tf_lab.meshes.raycast import CLAY, cast, overview_camera, render_mesh
 
 
@@ -148,41 +147,3 @@ def test_compare_writes_one_picture(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} == {"full.png", "empty.png", "alone.png"}
     with pytest.raises(TFLabError, match=r"none\.png: there is no surface"):
         compare(trimesh.Trimesh(), None, frames, tmp_path / "none.png", "room")
-
-
-def write_csv(path: Path, rows: list[dict[str, object]], columns: list[str]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def test_loss_curve_from_a_log_with_gaps(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    rows: list[dict[str, object]] = []
-    for step in range(0, 2000, 10):
-        loss = 1.8 * np.exp(-step / 700) + 0.4
-        noise = rng.lognormal(0, 0.15, 3)
-        parts = dict(zip(("train/coarse", "train/fine"), loss * noise[:2] / 3, strict=True))
-        rows.append({"step": step, "epoch": 0, "train/loss": loss * noise[2], **parts})
-        if step % 400 == 390:
-            rows.append({"step": step, "val/fscore": 0.7 * (1 - np.exp(-step / 900))})
-    rows.append({"step": 2000, "train/loss": "nan"})
-    columns = ["epoch", "step", "train/loss", "train/coarse", "train/fine", "val/fscore"]
-    write_csv(tmp_path / "metrics.csv", rows, columns)
-    loss_curve([tmp_path / "metrics.csv"], tmp_path / "loss.png")
-    assert np.asarray(Image.open(tmp_path / "loss.png")).std() > 5
-
-
-@pytest.mark.parametrize("column", ["train/loss", "val/fscore"])
-def test_loss_curve_of_one_column_and_one_row(tmp_path: Path, column: str) -> None:
-    write_csv(tmp_path / "metrics.csv", [{"step": 0, column: 0.5}], ["step", column])
-    loss_curve([tmp_path / "metrics.csv"], tmp_path / "loss.png")
-    assert (tmp_path / "loss.png").exists()
-
-
-def test_loss_curve_without_anything_to_draw(tmp_path: Path) -> None:
-    write_csv(tmp_path / "metrics.csv", [{"step": 0, "lr": 1}], ["step", "lr"])
-    for name, message in (("metrics.csv", "none of"), ("typo.csv", "cannot be read")):
-        with pytest.raises(TFLabError, match=rf"{name}: {message}"):
-            loss_curve([tmp_path / name], tmp_path / "loss.png")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tf_lab.evaluation.metrics import KEYS
+from tf_lab.evaluation import PAPER
 from tf_lab.reporting import paper
 
 SOURCE = Path(__file__).resolve().parents[3] / "shared" / "paper" / "transformerfusion.tex"
@@ -58,7 +58,7 @@ def test_speeds_are_the_printed_ones(printed: list[dict[str, list[float]]]) -> N
 def test_the_rows() -> None:
     assert len(paper.BASELINES) == 10
     assert len(paper.ABLATIONS) == 11
-    assert all(list(scores) == list(KEYS) for scores in paper.SCORES.values())
+    assert all(list(scores) == list(PAPER) for scores in paper.SCORES.values())
     assert paper.INPUTS.groups[-1] == paper.MAIN.groups[-1]
     assert {*paper.ATTENTION.values(), *paper.RANDOM.values()} <= {*paper.ABLATIONS, paper.OURS}
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES
 from tf_lab.reporting import paper
+from tf_lab.support.figures import new_figure, write_figure
+from tf_lab.support.tables import NOTHING, aligned
 
 MIB = 2**20
 Rows = Sequence[Sequence[str]]
@@ -64,7 +66,7 @@ def _fps(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     for name in names:
         figure = paper.FPS.get(int(name)) if name.isdecimal() else None
         cells = [f"{found['frame'][f'{m} {name}']['fps']:.2f}" for m in modes]
-        rows.append([f"K = {name}", *cells, "-" if figure is None else f"{figure:.2f}"])
+        rows.append([f"K = {name}", *cells, NOTHING if figure is None else f"{figure:.2f}"])
     return ["", *modes, "paper"], rows
 
 
@@ -72,7 +74,7 @@ def _chunk(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
     chunk = found["chunk"]
     rows = [[s, f"{chunk[s]:.2f}", f"{paper.CHUNK_MS[s]:.2f}"] for s in (*CHUNK_STAGES, "total")]
     fused = f"fuse 1000 voxels of {chunk['views']:.1f} views"
-    rows.append([fused, f"{chunk['fuse 1000 voxels']:.2f}", "-"])
+    rows.append([fused, f"{chunk['fuse 1000 voxels']:.2f}", NOTHING])
     return ["", "here", "paper"], rows
 
 
@@ -134,27 +136,16 @@ def _memory(found: Mapping[str, Any]) -> tuple[list[str], Rows]:
 
 
 def _number(x: float | None) -> str:
-    return f"{x:,.2f}" if x else "-"
+    return f"{x:,.2f}" if x else NOTHING
 
 
 def _table(title: str, head: Sequence[str], rows: Rows) -> str:
-    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-
-    def line(cells: Sequence[str]) -> str:
-        first = cells[0].ljust(widths[0])
-        rest = (c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True))
-        return "  ".join([first, *rest]).rstrip()
-
-    return "\n".join([title, line(head), *(line(row) for row in rows)])
+    return f"{title}\n{aligned(rows, head=head)}"
 
 
 def draw(found: Mapping[str, Any], path: Path) -> None:
     """A chart: stages of a frame and of a chunk beside the paper's, and growth with the scene."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13, 4.2, dpi=110)
     figure.suptitle(_what(found))
     frame, chunk, size = figure.subplots(1, 3)
     k = found["views"]
@@ -163,7 +154,7 @@ def draw(found: Mapping[str, Any], path: Path) -> None:
     both = {"here": found["chunk"], "paper": paper.CHUNK_MS}
     _stack(chunk, both, CHUNK_STAGES, "meshing a 1.5 m chunk")
     _growth(size, found["size"])
-    figure.savefig(path, dpi=110)
+    write_figure(figure, path)
 
 
 def _stack(axes: Any, bars: Mapping[str, Any], stages: Sequence[str], title: str) -> None:

@@ -10,7 +10,8 @@ from rich.progress import track
 
 from tf_lab.config.schema import EvaluateConfig
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.protocol import evaluate, format_table
+from tf_lab.evaluation.protocol import evaluate
+from tf_lab.evaluation.scores import format_table
 from tf_lab.support.files import check_file, write_json
 
 

@@ -24,7 +24,8 @@ from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
-from tf_lab.evaluation.protocol import evaluate_scene, format_table
+from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.evaluation.scores import format_table
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network

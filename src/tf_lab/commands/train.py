@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,17 +22,16 @@ from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import portable_config, write_config
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.pictures import loss_curve
-from tf_lab.evaluation.protocol import format_table
-from tf_lab.evaluation.testing import read_metrics, test_network
+from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 from tf_lab.experiments.launcher import SweepJobs
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
-from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, held, remove_abandoned, write_json
+from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
+from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, first_says
 from tf_lab.training.initial import (
     check_state,
     initial_state,
@@ -58,12 +58,13 @@ def run(config: TrainConfig) -> None:
         if not tested and not _is_helper():
             print("no score will be made: there is no test scene (data.test, data.test_size)")
         checkpoint = train(config)
+        if tested:
+            evaluate_training(config, checkpoint)
         if _is_helper():
             return  # the first process of a distributed training does the rest
         if not tested:
             print(f"training: {checkpoint.parent}")
             return
-        evaluate_training(config, checkpoint)
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
     log_scores(config, run, metrics["mean"])
@@ -99,19 +100,29 @@ JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
 def evaluate_training(config: TrainConfig, checkpoint: Path) -> Path:
     """The run directory of the config's evaluation: found, or made now."""
     run = run_directory(config)
-    with held(run, "evaluates"):
-        if read_metrics(run) is not None:
+    with nullcontext() if _is_helper() else held(run, "evaluates"):
+        if first_says(_is_helper() or read_metrics(run) is None):
+            _evaluate(config, checkpoint, run)
+        elif not _is_helper():
             print_reuse("evaluation", run)
-            return run
-        network, info = load_network(checkpoint)
-        scenes = [*open_source(config.data, config.content).scenes("test")["test"].values()]
+    return run
+
+
+def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
+    network, info = load_network(checkpoint)
+    scenes = [*open_source(config.data, config.content).scenes("test")["test"].values()]
+    if not _is_helper():
         write_config(config, run / "config.yaml")
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
         write_json(run / "run.json", {**origin, **info})
-        device = device_of("cpu" if config.trainer.accelerator == "cpu" else "auto")
-        network = ready(network, config.online, device)
-        test_network(network, scenes, capture_settings(config), run, row_label(config))
-    return run
+    # the trainer brings it to its device
+    network = ready(network, config.online, torch.device("cpu"))
+    settings, metrics = capture_settings(config), [*config.metrics.values()]
+    module = SceneEvaluation(network, settings, metrics, run, row_label(config))
+    t = config.trainer
+    evaluate_network(
+        module, scenes, accelerator=t.accelerator, devices=t.devices, strategy=t.strategy
+    )
 
 
 def train(config: TrainConfig) -> Path:
@@ -142,7 +153,9 @@ def _fit(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     network, optimizer = make_network(config), config.optimizer
     memory = round(config.training.maps_memory * 2**30)
     settings = capture_settings(config)
-    module = Training(network, optimizer, config.training.sdf_weight, settings, memory)
+    module = Training(
+        network, optimizer, config.training.sdf_weight, settings, memory, [*config.metrics.values()]
+    )
     sittings = Sittings()
     trainer = _trainer(config, [_saving(config, directory), sittings], directory)
     # whatever is wrong so far is told before the data is made

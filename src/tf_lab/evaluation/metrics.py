@@ -1,23 +1,25 @@
-"""Reconstruction metrics on point sets: arrays in, numbers out (paper, Sec. 4 "Metrics").
+"""The paper's metrics on point sets: arrays in, a number out (paper, Sec. 4 "Metrics").
 
-Distances inside are metres; the reported ``acc``, ``compl`` and ``chamfer`` are centimetres, as in
-the paper's tables. ``prec``, ``recall`` and ``fscore`` are ratios in [0, 1].
+Distances inside are metres; accuracy, completeness and chamfer are returned in centimetres, as in
+the paper's tables. Precision, recall and F-score are ratios in [0, 1].
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-KEYS = ("acc", "compl", "chamfer", "prec", "recall", "fscore")
+if TYPE_CHECKING:
+    import trimesh
+
 THRESHOLD = 0.05  # metres: a point within it is a match
 MAX_DISTANCE = 1.0  # metres: larger distances count as this
 VISIBLE = 1 - 1e-5  # least interpolated visibility of a point that counts as observed
-
-Metrics = dict[str, float]
 
 
 def distances(from_points: np.ndarray, to_points: np.ndarray, workers: int = -1) -> np.ndarray:
@@ -31,12 +33,19 @@ def distances(from_points: np.ndarray, to_points: np.ndarray, workers: int = -1)
     Returns:
         float64 [P], metres.
     """
+    return nearest(from_points, to_points, workers)[0]
+
+
+def nearest(
+    from_points: np.ndarray, to_points: np.ndarray, workers: int = -1
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `distances`, and the index [P] of the nearest point: Q where there is none in reach."""
     if len(from_points) == 0 or len(to_points) == 0:
-        return np.full(len(from_points), MAX_DISTANCE)
-    nearest, _ = cKDTree(to_points).query(
+        return np.full(len(from_points), MAX_DISTANCE), np.zeros(len(from_points), int)
+    found, index = cKDTree(to_points).query(
         from_points, distance_upper_bound=MAX_DISTANCE, workers=workers
     )
-    return np.minimum(nearest, MAX_DISTANCE)  # beyond the bound the tree answers infinity
+    return np.minimum(found, MAX_DISTANCE), index  # beyond the bound the tree answers infinity
 
 
 def visibility(
@@ -61,57 +70,81 @@ def visibility(
     return seen >= VISIBLE
 
 
-def fscore(precision: float, recall: float) -> float:
-    """Harmonic mean of precision and recall; 0 if both are 0."""
-    total = precision + recall
-    return 2 * precision * recall / total if total > 0 else 0.0
+@dataclass(frozen=True)
+class Comparison:
+    """A reconstruction beside the ground truth of its scene: what every metric gets.
 
-
-def empty_metrics() -> Metrics:
-    """The score of a missing or empty reconstruction: worst distances, precision 1, recall 0."""
-    worst = 100 * MAX_DISTANCE
-    return dict(zip(KEYS, (worst, worst, worst, 1.0, 0.0, 0.0), strict=True))
-
-
-def reconstruction_metrics(
-    predicted_points: np.ndarray,
-    visible: np.ndarray,
-    gt_points: np.ndarray,
-    threshold: float = THRESHOLD,
-    workers: int = -1,
-) -> Metrics:
-    """Accuracy, completeness, chamfer (cm), precision, recall and F-score of a point set.
-
-    Unobserved predicted points leave accuracy and precision only: completing the scene beyond the
-    ground truth costs nothing there, and completeness and recall still see every point. If no
-    point at all is visible, all are kept, as the authors' script does: otherwise such a
-    prediction would get the precision of an empty one.
-
-    Args:
-        predicted_points: [P, 3] samples of the predicted surface, metres; may be empty.
+    Attributes:
+        points: [P, 3] samples of the predicted surface, metres; at least one.
         visible: bool [P], see `visibility`.
-        gt_points: [G, 3] vertices of the ground-truth mesh, metres; at least one.
-        threshold: match distance, metres.
-        workers: threads of the search, -1 for all cores.
+        truth: [G, 3] the vertices of the ground-truth mesh, metres; at least one.
+        mesh: the prediction, metres; a point cloud has no faces; None: only points are known.
+        faces: [P] the face of ``mesh`` that each point lies on; None: it has none.
+        truth_mesh: the ground truth, metres; None: only points are known.
 
     Raises:
-        ValueError: the ground truth has no point.
+        ValueError: there is no predicted point, or the ground truth has none.
     """
-    if len(gt_points) == 0:
-        raise ValueError("the ground truth has no point")
-    if len(predicted_points) == 0:
-        return empty_metrics()
-    counted = predicted_points[visible] if visible.any() else predicted_points
-    to_gt = distances(counted, gt_points, workers)
-    to_prediction = distances(gt_points, predicted_points, workers)
-    acc, compl = 100 * float(to_gt.mean()), 100 * float(to_prediction.mean())
-    prec = float((to_gt <= threshold).mean())
-    recall = float((to_prediction <= threshold).mean())
-    chamfer = (acc + compl) / 2
-    return dict(zip(KEYS, (acc, compl, chamfer, prec, recall, fscore(prec, recall)), strict=True))
+
+    points: np.ndarray
+    visible: np.ndarray
+    truth: np.ndarray
+    mesh: trimesh.Trimesh | None = None
+    faces: np.ndarray | None = None
+    truth_mesh: trimesh.Trimesh | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.points) == 0 or len(self.truth) == 0:
+            which = "ground truth" if len(self.points) else "prediction"
+            raise ValueError(f"the {which} has no point")
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Bool [P]: the points that accuracy and precision are of, the visible ones.
+
+        Completing the scene beyond the ground truth costs nothing there; completeness and recall
+        see every point. If none is visible, all count, as in the authors' script: otherwise such
+        a prediction would get the precision of an empty one.
+        """
+        return self.visible if self.visible.any() else np.ones(len(self.points), bool)
+
+    @cached_property
+    def to_truth(self) -> np.ndarray:
+        """Distances of the counted points to the ground truth, metres, capped."""
+        return distances(self.points[self.counted], self.truth)
+
+    @cached_property
+    def to_prediction(self) -> np.ndarray:
+        """Distances [G] of the ground-truth points to the prediction, metres, capped."""
+        return distances(self.truth, self.points)
 
 
-def mean_metrics(scenes: Iterable[Mapping[str, float]]) -> Metrics:
-    """Mean of each metric over scenes; so the mean F-score is not the F-score of the means."""
-    rows = list(scenes)
-    return {key: float(np.mean([row[key] for row in rows])) for key in KEYS}
+def accuracy(found: Comparison, settings: Any = None) -> float:
+    """Mean distance of the prediction to the ground truth, cm."""
+    return 100 * float(found.to_truth.mean())
+
+
+def completeness(found: Comparison, settings: Any = None) -> float:
+    """Mean distance of the ground truth to the prediction, cm."""
+    return 100 * float(found.to_prediction.mean())
+
+
+def chamfer(found: Comparison, settings: Any = None) -> float:
+    """Mean of accuracy and completeness, cm."""
+    return (accuracy(found) + completeness(found)) / 2
+
+
+def precision(found: Comparison, settings: Any = None) -> float:
+    """Share of the prediction that is within 5 cm of the ground truth."""
+    return float((found.to_truth <= THRESHOLD).mean())
+
+
+def recall(found: Comparison, settings: Any = None) -> float:
+    """Share of the ground truth that is within 5 cm of the prediction."""
+    return float((found.to_prediction <= THRESHOLD).mean())
+
+
+def fscore(found: Comparison, settings: Any = None) -> float:
+    """Harmonic mean of precision and recall; 0 if both are 0."""
+    prec, rec = precision(found), recall(found)
+    return 2 * prec * rec / (prec + rec) if prec + rec > 0 else 0.0

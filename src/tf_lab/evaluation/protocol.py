@@ -10,7 +10,7 @@ Published layout::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,14 +19,8 @@ import numpy as np
 import trimesh
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.metrics import (
-    THRESHOLD,
-    Metrics,
-    empty_metrics,
-    mean_metrics,
-    reconstruction_metrics,
-    visibility,
-)
+from tf_lab.evaluation.metrics import THRESHOLD, Comparison, visibility
+from tf_lab.evaluation.scores import Scores, mean_scores, score
 from tf_lab.meshes.files import read_mesh
 
 PROTOCOL = "transformerfusion"
@@ -34,24 +28,19 @@ SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
 CLEAR = 2.5  # a factor between the sizes of prediction and ground truth that nobody means
 UNITS = {1000: "millimetres", 100: "centimetres", 39.37: "inches", 3.28: "feet"}  # in a metre
 
-# key, heading of the paper's table, format
-COLUMNS = (
-    ("acc", "Acc", ".2f"),
-    ("compl", "Compl", ".2f"),
-    ("chamfer", "Chamfer", ".2f"),
-    ("prec", "Prec", ".3f"),
-    ("recall", "Recall", ".3f"),
-    ("fscore", "F-score", ".3f"),
-)
-
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """points [G, 3] in metres; occlusion_mask [X, Y, Z]; world2grid [4, 4] (see `visibility`)."""
+    """mesh in metres; occlusion_mask [X, Y, Z]; world2grid [4, 4] (see `visibility`)."""
 
-    points: np.ndarray
+    mesh: trimesh.Trimesh
     occlusion_mask: np.ndarray
     world2grid: np.ndarray
+
+    @property
+    def points(self) -> np.ndarray:
+        """The ground-truth points, [G, 3], metres: the vertices of the mesh."""
+        return np.asarray(self.mesh.vertices)
 
 
 def read_groundtruth(directory: Path) -> GroundTruth:
@@ -60,8 +49,8 @@ def read_groundtruth(directory: Path) -> GroundTruth:
     Raises:
         TFLabError: a file is missing, damaged or of a wrong shape.
     """
-    points = np.asarray(read_mesh(directory / "mesh_gt.ply").vertices)
-    if len(points) == 0:
+    mesh = read_mesh(directory / "mesh_gt.ply")
+    if len(mesh.vertices) == 0:
         raise TFLabError(f"{directory / 'mesh_gt.ply'}: has no vertex; prepare the scene again")
     mask = _read_array(directory / "occlusion_mask.npy", np.load)
     if mask.ndim != 3 or 0 in mask.shape:
@@ -75,7 +64,7 @@ def read_groundtruth(directory: Path) -> GroundTruth:
         raise TFLabError(
             f"{directory / 'world2grid.txt'}: not an invertible matrix with last row 0 0 0 1"
         )
-    return GroundTruth(points, mask, matrix)
+    return GroundTruth(mesh, mask, matrix)
 
 
 def _read_array(path: Path, reader: Callable[[Path], np.ndarray]) -> np.ndarray:
@@ -93,14 +82,18 @@ def _read_array(path: Path, reader: Callable[[Path], np.ndarray]) -> np.ndarray:
 
 
 def evaluate_scene(
-    prediction: Path | trimesh.Trimesh | None, groundtruth_dir: Path, seed: int = 0
-) -> Metrics:
-    """Metrics of one reconstruction; distances in cm.
+    prediction: Path | trimesh.Trimesh | None,
+    groundtruth_dir: Path,
+    seed: int = 0,
+    metrics: Sequence[Any] = (),
+) -> Scores:
+    """Scores of one reconstruction; distances in cm.
 
     Args:
         prediction: a PLY file, a mesh in metres, or None. A missing file counts as None.
         groundtruth_dir: the scene's folder of the published layout.
         seed: seed of the surface samples.
+        metrics: settings of metrics beyond the paper's.
 
     Raises:
         TFLabError: a file is damaged, or the ground truth is incomplete.
@@ -108,23 +101,31 @@ def evaluate_scene(
     truth = read_groundtruth(groundtruth_dir)
     if isinstance(prediction, Path):
         prediction = _read_prediction(prediction)
-    return _score(samples(prediction, seed), truth)
+    return score(compared(prediction, truth, seed), metrics)
 
 
-def samples(mesh: trimesh.Trimesh | None, seed: int = 0) -> np.ndarray:
-    """The points [P, 3] that stand for a prediction; none of an empty mesh or one without area.
+def compared(mesh: trimesh.Trimesh | None, truth: GroundTruth, seed: int = 0) -> Comparison | None:
+    """A prediction beside the ground truth; None if it is missing or empty."""
+    points, faces = samples(mesh, seed)
+    if len(points) == 0:
+        return None
+    visible = visibility(points, truth.occlusion_mask, truth.world2grid)
+    return Comparison(points, visible, truth.points, mesh, faces, truth.mesh)
+
+
+def samples(mesh: trimesh.Trimesh | None, seed: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
+    """The points [P, 3] that stand for a prediction, and the face [P] that each is on, if any.
 
     Of a surface `SAMPLES`, uniform over its area; of a point cloud (no faces) its own points, at
-    most as many.
+    most as many; none of an empty mesh or one without area.
     """
-    if mesh is None:
-        return np.zeros((0, 3))
-    if is_point_cloud(mesh):
+    if mesh is not None and is_point_cloud(mesh):
         chosen = np.random.default_rng(seed).permutation(len(mesh.vertices))[:SAMPLES]
-        return np.asarray(mesh.vertices)[chosen]
-    if not mesh.area > 0:
-        return np.zeros((0, 3))
-    return np.asarray(trimesh.sample.sample_surface(mesh, SAMPLES, seed=seed)[0])
+        return np.asarray(mesh.vertices)[chosen], None
+    if mesh is None or not mesh.area > 0:
+        return np.zeros((0, 3)), None
+    points, faces = trimesh.sample.sample_surface(mesh, SAMPLES, seed=seed)[:2]
+    return np.asarray(points), np.asarray(faces)
 
 
 def is_point_cloud(mesh: trimesh.Trimesh) -> bool:
@@ -136,19 +137,10 @@ def _read_prediction(path: Path) -> trimesh.Trimesh | None:
     return read_mesh(path) if path.exists() else None
 
 
-def _score(points: np.ndarray, truth: GroundTruth) -> Metrics:
-    if len(points) == 0:
-        return empty_metrics()
-    visible = visibility(points, truth.occlusion_mask, truth.world2grid)
-    return reconstruction_metrics(points, visible, truth.points)
-
-
-def wrong_scale(points: np.ndarray, truth: GroundTruth) -> str | None:
-    """By what factor a prediction [P, 3] is too large or too small, if by a clear one."""
-    if len(points) == 0:
-        return None
+def wrong_scale(points: np.ndarray, truth: np.ndarray) -> str | None:
+    """By what factor a prediction [P, 3] is larger or smaller than [G, 3], if by a clear one."""
     # a few far points say nothing about the size of the rest
-    sizes = [np.ptp(np.quantile(p, (0.02, 0.98), axis=0), axis=0) for p in (points, truth.points)]
+    sizes = [np.ptp(np.quantile(p, (0.02, 0.98), axis=0), axis=0) for p in (points, truth)]
     predicted, true = (float(np.linalg.norm(size)) for size in sizes)
     if predicted == 0 or true == 0 or 1 / CLEAR < predicted / true < CLEAR:
         return None
@@ -178,6 +170,7 @@ def evaluate(
     groundtruth: Path,
     seed: int = 0,
     track: Callable[[list[str]], Iterable[str]] = iter,
+    metrics: Sequence[Any] = (),
 ) -> dict[str, Any]:
     """Evaluate every scene of the ground truth.
 
@@ -186,6 +179,7 @@ def evaluate(
         groundtruth: folder of <scene>/ in the published layout.
         seed: seed of the surface samples, for each scene alike.
         track: wraps the list of scenes, for instance in a progress bar.
+        metrics: settings of metrics beyond the paper's.
 
     Returns:
         ``protocol``, ``mean`` and ``scenes`` (metrics.json), ``settings``, ``missing`` (the scenes
@@ -199,18 +193,18 @@ def evaluate(
     if not predictions.is_dir():
         raise TFLabError(f"{predictions}: no such folder; give the folder of <scene>.ply files")
     names = scene_names(groundtruth)
-    scenes: dict[str, Metrics] = {}
+    scenes: dict[str, Scores] = {}
     failed: dict[str, str] = {}
     point_clouds, scales = [], {}
     for name in track(names):
         try:
             truth = read_groundtruth(groundtruth / name)
             mesh = _read_prediction(predictions / f"{name}.ply")
-            points = samples(mesh, seed)
-            scenes[name] = _score(points, truth)
+            found = compared(mesh, truth, seed)
+            scenes[name] = score(found, metrics)
             if mesh is not None and is_point_cloud(mesh):
                 point_clouds.append(name)
-            if remark := wrong_scale(points, truth):
+            if found and (remark := wrong_scale(found.points, truth.points)):
                 scales[name] = remark
         except TFLabError as error:
             failed[name] = str(error)
@@ -218,7 +212,7 @@ def evaluate(
         raise TFLabError("no scene could be evaluated: " + "; ".join(failed.values()))
     return {
         "protocol": PROTOCOL,
-        "mean": mean_metrics(scenes.values()),
+        "mean": mean_scores(scenes.values()),
         "scenes": scenes,
         "settings": {"seed": seed, "threshold_cm": 100 * THRESHOLD, "n_points": SAMPLES},
         "missing": [name for name in names if not (predictions / f"{name}.ply").exists()],
@@ -226,19 +220,3 @@ def evaluate(
         "wrong_scale": scales,
         "failed": failed,
     }
-
-
-def format_row(label: str, mean: Mapping[str, float], width: int = 24) -> str:
-    """One row of the paper's table: cm with 2 decimals, ratios with 3, the label padded."""
-    return " ".join([label.ljust(width), *(f"{mean[key]:>8{form}}" for key, _, form in COLUMNS)])
-
-
-def format_table(rows: Sequence[tuple[str, Mapping[str, float]]], first: str = "Method") -> str:
-    """The paper's table as aligned text, one (label, metrics) a row.
-
-    ``first`` is the heading of the labels' column.
-    """
-    width = max([len(first), *(len(label) for label, _ in rows)])
-    heading = " ".join([first.ljust(width), *(f"{title:>8}" for _, title, _ in COLUMNS)])
-    lines = [format_row(label, metrics, width) for label, metrics in rows]
-    return "\n".join([heading, "-" * len(heading), *lines])

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from tf_lab.reporting.paper import ABLATIONS, ATTENTION, OURS, RANDOM, SCORES
 from tf_lab.reporting.statistics import deviation
 from tf_lab.reporting.studies import Study
-from tf_lab.support.files import atomic_path
+from tf_lab.support.figures import new_figure, write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # told apart by colour-blind eyes (Okabe and Ito, 2008), and by their markers in grey
 BLUE, ORANGE = "#0072B2", "#D55E00"
@@ -33,10 +33,10 @@ def views_chart(study: Study) -> Figure:
 
     Dots are seeds, lines go through their means, and bars are the standard deviation.
     """
-    figure = _figure(7.0, 3.1)
+    figure = new_figure(7.0, 3.1, DPI)
     here, there = figure.subplots(1, 2, sharey=True)
     for name, rows, color, marker, shift in SELECTIONS:
-        found = {k: study.scores(row).mean(1) for k, row in rows.items() if study.seeds(row)}
+        found = {k: s for k, row in rows.items() if len(s := study.scores(row).mean(1))}
         theirs = {k: np.array([SCORES[row]["fscore"]]) for k, row in rows.items()}
         for axes, values in ((here, found), (there, theirs)):
             _draw_line(axes, values, name, color, marker, shift)
@@ -72,9 +72,9 @@ def rows_chart(study: Study) -> Figure:
     """F-score of every row in the paper's order: mean, deviation, seeds, and the paper's value."""
     others = [row for row in study.rows if row not in SCORES]
     rows = [*ABLATIONS, *others, OURS]
-    figure = _figure(6.6, 0.9 + 0.33 * len(rows))
+    figure = new_figure(6.6, 0.9 + 0.33 * len(rows), DPI)
     axes = figure.subplots()
-    found = {i: study.scores(row).mean(1) for i, row in enumerate(rows) if study.seeds(row)}
+    found = {i: s for i, row in enumerate(rows) if len(s := study.scores(row).mean(1))}
     means = [seeds.mean() for seeds in found.values()]
     spread = [deviation(seeds) or np.nan for seeds in found.values()]
     axes.errorbar(means, [*found], xerr=spread, fmt="o", color=BLUE, capsize=3, label=MEAN)
@@ -107,18 +107,8 @@ def _repetitions(study: Study) -> str:
     return f"{seeds} seed{'s' * (seeds > 1)}, {scenes} test scene{'s' * (scenes > 1)}"
 
 
-def _figure(width: float, height: float) -> Figure:
-    """An empty figure in inches, in the charts' style."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def save_chart(figure: Figure, path: Path) -> None:
     """Write a chart as PNG and as PDF, ``path`` without the suffix; both only depend on it."""
-    for suffix, metadata in ((".png", {}), (".pdf", {"CreationDate": None})):
-        with (
-            atomic_path(path.with_suffix(suffix)) as temporary,
-            matplotlib.rc_context({"pdf.fonttype": 42}),
-        ):
-            figure.savefig(temporary, facecolor="white", metadata=metadata)
+    write_figure(figure, path.with_suffix(".png"))
+    undated = {"CreationDate": None}
+    write_figure(figure, path.with_suffix(".pdf"), format="pdf", metadata=undated)

@@ -7,8 +7,9 @@ import io
 from dataclasses import dataclass
 from itertools import groupby
 
+from tf_lab.support.tables import NOTHING
+
 ARROWS = {"up": ("↑", r"$\uparrow$"), "down": ("↓", r"$\downarrow$"), "": ("", "")}
-NOTHING = "-"
 LATEX_NEEDS = "% needs booktabs and graphicx"
 _LATEX = {
     **{character: f"\\{character}" for character in "&%#_{}$"},

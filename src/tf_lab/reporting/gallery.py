@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
-from matplotlib.figure import Figure
 from PIL import Image
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.pictures import DPI, write_figure
 from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.raycast import overview_camera, render_mesh
 from tf_lab.reporting.paper import OURS
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.studies import Study
+from tf_lab.support.figures import new_figure, write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLUMNS = 5
 PANEL = 3.1  # inches across
@@ -64,7 +67,8 @@ def draw_scene(
         TFLabError: a mesh cannot be read, or there is nothing to draw.
     """
     meshes = {row: read_mesh(mesh_path(run, scene)) for row, run in runs.items()}
-    titles = {row: f"{row}   F {run.scenes[scene]['fscore']:.3f}" for row, run in runs.items()}
+    scores = {row: run.scenes[scene] for row, run in runs.items()}
+    titles = {row: f"{row}   F {s['fscore']:.3f}" for row, s in scores.items() if "fscore" in s}
     if groundtruth is not None:
         meshes = {"Ground truth": groundtruth, **meshes}
     shown = next((mesh for mesh in meshes.values() if len(mesh.faces)), None)
@@ -93,7 +97,7 @@ def _grid(panels: dict[str, np.ndarray], heading: str, size: tuple[int, int]) ->
     columns = min(COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
     width, height = PANEL * columns, (PANEL * size[1] / size[0] + 0.3) * rows + 0.5
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    figure = new_figure(width, height)
     figure.suptitle(heading, fontsize=13, fontweight="bold")
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:

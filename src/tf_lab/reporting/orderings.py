@@ -59,7 +59,7 @@ ORDERINGS = tuple(_orderings())
 
 def difference(study: Study, weights: Mapping[str, int]) -> Estimate | None:
     """The weighted sum of rows' F-scores, paired by seed and scene; None if no seed has all."""
-    seeds = study.seeds(*weights)
+    seeds = study.seeds(*weights, metric="fscore")
     if not seeds:
         return None
     terms = [weight * study.scores(row, seeds=seeds) for row, weight in weights.items()]

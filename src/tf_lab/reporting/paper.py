@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from tf_lab.evaluation.metrics import Metrics
+from tf_lab.evaluation.scores import Scores
 
 OURS = "Ours"
 
@@ -23,7 +23,7 @@ class PaperTable:
     """
 
     source: str
-    groups: tuple[dict[str, Metrics], ...]
+    groups: tuple[dict[str, Scores], ...]
 
 
 def _table(held: dict[str, Any], columns: list[str]) -> PaperTable:
@@ -39,7 +39,7 @@ MAIN = _table(_HELD["main"], _HELD["columns"])
 INPUTS = _table(_HELD["inputs"], _HELD["columns"])
 BASELINES = tuple(MAIN.groups[0])
 ABLATIONS = (*MAIN.groups[1], *INPUTS.groups[0])
-SCORES: dict[str, Metrics] = {
+SCORES: dict[str, Scores] = {
     row: scores
     for table in (MAIN, INPUTS)
     for group in table.groups

@@ -14,14 +14,15 @@ import yaml
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config, write_config
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.metrics import KEYS, Metrics
+from tf_lab.evaluation.scores import Scores
 from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
 from tf_lab.experiments.provenance import without_places
 from tf_lab.experiments.reuse import Origin, removal
 from tf_lab.support.files import write_json
 
-# What makes a run another row, or another repetition of one, of the same study.
-ROW_SETTINGS = ("fusion", "inputs", "refine", "filter", "views", "select", "seed")
+# What makes a run another row, or another repetition of one, of the same study; and which metrics
+# were measured beside the paper's, which makes no difference to those.
+ROW_SETTINGS = ("fusion", "inputs", "refine", "filter", "views", "select", "seed", "metrics")
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Run:
         seed: of its training.
         config: resolved.
         settings: what has to be equal for runs to be comparable, by dotted name.
-        scenes: metrics by test scene.
+        scenes: scores by test scene; of an older run, or one without further metrics, some may
+            lack.
         makers: provenances of the evaluation, of the training, and of each sitting of it.
         finished: when its ``metrics.json`` was written, seconds since 1970.
     """
@@ -44,7 +46,7 @@ class Run:
     seed: int
     config: TrainConfig
     settings: dict[str, Any]
-    scenes: dict[str, Metrics]
+    scenes: dict[str, Scores]
     makers: tuple[Origin, ...]
     finished: float
 
@@ -117,10 +119,10 @@ def _read(path: Path, parse: Callable[[str], Any]) -> dict[str, Any]:
     return found
 
 
-def _scenes(metrics: Mapping[str, Any], path: Path) -> dict[str, Metrics]:
+def _scenes(metrics: Mapping[str, Any], path: Path) -> dict[str, Scores]:
     try:
         scenes = {
-            name: {key: float(scores[key]) for key in KEYS}
+            name: {key: float(value) for key, value in scores.items()}
             for name, scores in metrics["scenes"].items()
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:

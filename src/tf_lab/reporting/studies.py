@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.reporting.paper import ABLATIONS, OURS
@@ -56,18 +57,28 @@ class Study:
         """The test scenes."""
         return list(self.settings["test.scenes"])
 
-    def seeds(self, *rows: str) -> list[int]:
-        """The seeds for which there are runs of all these rows (of any row, without one)."""
+    @cached_property
+    def metrics(self) -> list[MetricPart]:
+        """The metrics that any run has, as columns of a table: the paper's first."""
+        scenes = (scores for run in self.runs.values() for scores in run.scenes.values())
+        return metric_columns(name for scores in scenes for name in scores)
+
+    def seeds(self, *rows: str, metric: str | None = None) -> list[int]:
+        """The seeds for which there are runs of all these rows (of any row, without one).
+
+        With a metric, only runs count that have it for every scene.
+        """
         having: dict[int, set[str]] = defaultdict(set)
-        for row, seed in self.runs:
-            having[seed].add(row)
+        for (row, seed), run in self.runs.items():
+            if metric is None or all(metric in scores for scores in run.scenes.values()):
+                having[seed].add(row)
         return sorted(seed for seed, found in having.items() if found.issuperset(rows))
 
     def scores(
         self, row: str, metric: str = "fscore", seeds: Sequence[int] | None = None
     ) -> np.ndarray:
-        """A metric of a row: [seeds, scenes]; of all seeds it has, unless some are given."""
-        chosen = self.seeds(row) if seeds is None else seeds
+        """A metric of a row: [seeds, scenes]; of all seeds that have it, unless some are given."""
+        chosen = self.seeds(row, metric=metric) if seeds is None else seeds
         values = [
             [self.runs[row, seed].scenes[scene][metric] for scene in self.scenes] for seed in chosen
         ]

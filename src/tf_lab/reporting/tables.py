@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tf_lab.evaluation.protocol import COLUMNS
+from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
 from tf_lab.reporting.orderings import ORDERINGS, difference, verdict
 from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
 from tf_lab.reporting.statistics import Estimate, deviation
 from tf_lab.reporting.studies import Study
 
-LOWER_IS_BETTER = ("acc", "compl", "chamfer")
 ROW = Column("row", "Method")
 HERE, THERE = "This study", "Paper"
 SCORE = Column("fscore", "F-score", "up")
@@ -39,7 +38,7 @@ def inputs_table(study: Study) -> Table:
 
 def short_table(study: Study) -> Table:
     """All rows that were run, with the paper's F-score only: fits a terminal."""
-    columns = (ROW, *_metrics(""), Column("paper", "Paper's F"))
+    columns = (ROW, *_metrics(study.metrics), Column("paper", "Paper's F"))
     body: list[Row] = [
         (row, *_mean_cells(study, row), Number(SCORES.get(row, {}).get("fscore")))
         for row in study.rows
@@ -50,8 +49,8 @@ def short_table(study: Study) -> Table:
 def _beside_paper(
     study: Study, name: str, paper: PaperTable, groups: Sequence[Sequence[str]]
 ) -> Table:
-    theirs = [replace(column, key=f"paper_{column.key}") for column in _metrics(THERE)]
-    columns = (ROW, *_metrics(HERE), *theirs)
+    theirs = [replace(c, key=f"paper_{c.key}") for c in _metrics(metric_columns(), THERE)]
+    columns = (ROW, *_metrics(study.metrics, HERE), *theirs)
     body: list[list[Row]] = [
         [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group] for group in groups
     ]
@@ -64,16 +63,14 @@ def _beside_paper(
     return Table(name, caption, columns, _with_best(body, columns))
 
 
-def _metrics(span: str) -> list[Column]:
-    return [
-        Column(key, title, "down" if key in LOWER_IS_BETTER else "up", span)
-        for key, title, _ in COLUMNS
-    ]
+def _metrics(parts: Sequence[MetricPart], span: str = "") -> list[Column]:
+    better = {True: "up", False: "down", None: ""}
+    return [Column(p.name, p.heading, better[p.higher_is_better], span) for p in parts]
 
 
 def _mean_cells(study: Study, row: str) -> list[Number]:
-    """Mean and deviation over seeds of each metric; nothing for a row without runs."""
-    return [_over_seeds(study.scores(row, key).mean(1), form) for key, _, form in COLUMNS]
+    """Mean and deviation over seeds of each metric; nothing where no run of the row has it."""
+    return [_over_seeds(study.scores(row, p.name).mean(1), p.format) for p in study.metrics]
 
 
 def _over_seeds(means: np.ndarray, form: str = ".3f") -> Number:
@@ -81,7 +78,7 @@ def _over_seeds(means: np.ndarray, form: str = ".3f") -> Number:
 
 
 def _paper_cells(row: str) -> list[Number]:
-    return [Number(SCORES.get(row, {}).get(key), form) for key, _, form in COLUMNS]
+    return [Number(SCORES.get(row, {}).get(part.name), part.format) for part in metric_columns()]
 
 
 def _with_best(
@@ -161,7 +158,8 @@ def seed_table(study: Study) -> Table:
     columns = (ROW, *(Column(f"seed_{s}", f"Seed {s}") for s in seeds), Column("mean", "Mean"))
     body: list[Row] = []
     for row in study.rows:
-        each = {seed: float(study.scores(row, seeds=[seed]).mean()) for seed in study.seeds(row)}
+        means = study.scores(row).mean(1).tolist()
+        each = dict(zip(study.seeds(row, metric="fscore"), means, strict=True))
         cells = [Number(each.get(seed)) for seed in seeds]
         body.append((row, *cells, _over_seeds(np.array([*each.values()]))))
     return Table("seeds", "F-score by seed.", columns, (tuple(body),))
@@ -178,9 +176,9 @@ def scene_table(study: Study) -> Table:
 
 def runs_table(study: Study, row: str | None = None) -> Table:
     """Every score of every run and scene, or of those of one row."""
-    columns = (ROW, Column("seed", "Seed"), Column("scene", "Scene"), *_metrics(""))
+    columns = (ROW, Column("seed", "Seed"), Column("scene", "Scene"), *_metrics(study.metrics))
     body: list[Row] = [
-        (name, str(seed), scene, *(Number(scores[key]) for key, _, _ in COLUMNS))
+        (name, str(seed), scene, *(Number(scores.get(p.name)) for p in study.metrics))
         for name in (study.rows if row is None else [row])
         for seed in study.seeds(name)
         for scene, scores in study.runs[name, seed].scenes.items()

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+NOTHING = "-"  # for a number that there is not
 Side = Literal["left", "right"]
 SIDES: dict[str, Side] = {side[0]: side for side in get_args(Side)}
 

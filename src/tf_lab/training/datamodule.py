@@ -9,10 +9,7 @@ import lightning as L
 from torch.utils.data import DataLoader
 
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
-
-
-def _first(items: list[Path]) -> Path:
-    return items[0]
+from tf_lab.training.evaluation import scene_loader
 
 
 class SceneDataModule(L.LightningDataModule):
@@ -43,6 +40,6 @@ class SceneDataModule(L.LightningDataModule):
             prefetch_factor=4 if self.workers else None,
         )
 
-    def val_dataloader(self) -> DataLoader[Path]:
-        """Scene directories, one at a time."""
-        return DataLoader(list(self.val), batch_size=1, collate_fn=_first)  # type: ignore[arg-type]
+    def val_dataloader(self) -> DataLoader[Path | None]:
+        """Scene directories, one at a time; each is one process's."""
+        return scene_loader(self.val, self.trainer)

@@ -1,11 +1,11 @@
-"""The LightningModule: losses, optimiser, schedule, validation on whole scenes."""
+"""The LightningModule of training: losses, optimiser, schedule."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import lightning as L
@@ -17,16 +17,14 @@ from torch import Tensor
 
 from tf_lab.config.groups import OptimizerSettings
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch
-from tf_lab.data.scene import Scene
-from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.network.network import Network
-from tf_lab.online.captures import reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views import make_policy
 from tf_lab.online.views.batch import BatchSelection
 from tf_lab.support.progress import Once, Pace, progress_bar
+from tf_lab.training.evaluation import SceneEvaluation
 from tf_lab.training.known_maps import KnownMaps
 from tf_lab.training.losses import losses
 
@@ -41,7 +39,7 @@ def schedule_factor(settings: OptimizerSettings, step: int) -> float:
     return warm * cosine
 
 
-class Training(L.LightningModule):
+class Training(SceneEvaluation):
     """Trains a network on chunks; validates it on whole scenes.
 
     Args:
@@ -50,6 +48,7 @@ class Training(L.LightningModule):
         sdf_weight: of the signed-distance loss (0 in the paper).
         test: test-time settings of validation.
         maps_memory: bytes of feature maps to keep if the encoder is frozen.
+        metrics: settings of metrics of validation beyond the paper's.
     """
 
     def __init__(
@@ -59,10 +58,10 @@ class Training(L.LightningModule):
         sdf_weight: float,
         test: ReconstructionSettings,
         maps_memory: int = 0,
+        metrics: Sequence[Any] = (),
     ) -> None:
-        super().__init__()
-        self.network, self.optimizer_settings = network, optimizer
-        self.sdf_weight, self.test_settings = sdf_weight, test
+        super().__init__(network, test, metrics)
+        self.optimizer_settings, self.sdf_weight = optimizer, sdf_weight
         frozen = optimizer.encoder_factor == 0
         self.known_maps = KnownMaps(network, maps_memory) if frozen else None
         self.save_hyperparameters(
@@ -101,14 +100,6 @@ class Training(L.LightningModule):
             sync_dist=True,
         )
         return terms["loss"]
-
-    def validation_step(self, directory: Path, batch_idx: int) -> None:
-        """Reconstruct and score a whole scene of the val split."""
-        scene = Scene(directory)
-        mesh = reconstruct(self.network, scene, self.test_settings).mesh
-        metrics = evaluate_scene(mesh, scene.groundtruth)
-        names = {f"val/{k}": float(v) for k, v in metrics.items()}
-        self.log_dict(names, batch_size=1, sync_dist=True)
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam with a per-step schedule."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from tf_lab.data.diagnosis.evidence import Evidence, Geometry
 from tf_lab.data.diagnosis.verdict import Report
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.pictures import DPI, write_figure
+from tf_lab.support.figures import DPI, new_figure, write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SHOWN = 14  # matches of a pair
 GIVEN, BEST = "#d95f02", "#1b9e77"
@@ -20,7 +22,7 @@ GIVEN, BEST = "#d95f02", "#1b9e77"
 
 def draw(report: Report, evidence: Evidence, path: Path) -> None:
     """Write the picture of a check as PNG."""
-    figure = Figure(figsize=(13, 12), dpi=DPI * 0.7, layout="constrained")
+    figure = new_figure(13, 12, DPI * 0.7)
     figure.suptitle(f"{evidence.capture.name}: {report.verdict}", fontsize=14, fontweight="bold")
     grid = figure.add_gridspec(3, 2, height_ratios=[1, 1, 1.1])
     given = evidence.geometry(evidence.settings) if evidence.pairs else None

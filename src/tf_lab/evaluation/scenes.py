@@ -1,0 +1,83 @@
+"""What an evaluation keeps of a scene: mesh, picture, scores and how they came about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tf_lab.data.scene import Scene
+from tf_lab.evaluation.pictures import compare
+from tf_lab.evaluation.protocol import PROTOCOL
+from tf_lab.evaluation.scores import Scores
+from tf_lab.meshes.files import read_mesh
+from tf_lab.online.captures import Reconstruction, median_views
+from tf_lab.support.files import atomic_path, write_json
+
+
+@dataclass(frozen=True)
+class SceneResult:
+    """The scores of a test scene, and details: seconds, keyframes, frames skipped, views."""
+
+    scores: Scores
+    details: dict[str, Any]
+
+
+def save_scene(
+    result: Reconstruction, scene: Scene, scores: Scores, seconds: float, run: Path
+) -> SceneResult:
+    """Write a scene's mesh and picture to a run.
+
+    Args:
+        result: the reconstruction.
+        scene: with ground truth.
+        scores: of the reconstruction.
+        seconds: that it took.
+        run: the run's directory.
+    """
+    save_mesh(result, run / "meshes" / f"{scene.name}.ply")
+    draw(result, scene, run / "pictures" / f"{scene.name}.png", scores["fscore"])
+    details = {
+        "seconds": round(seconds, 2),
+        "keyframes": len(result.keyframes),
+        "skipped": result.skipped,
+        "median_views": median_views(scene, result.keyframes, scene.groundtruth),
+    }
+    return SceneResult(scores, details)
+
+
+def save_mesh(result: Reconstruction, path: Path) -> None:
+    """Write a reconstruction's mesh as PLY, whole or not at all; it may be empty."""
+    with atomic_path(path) as temporary:
+        result.mesh.export(temporary, file_type="ply")
+
+
+def draw(result: Reconstruction, scene: Scene, path: Path, fscore: float) -> None:
+    """Input frames, prediction beside ground truth, and the error, as one PNG."""
+    chosen = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
+    truth = read_mesh(scene.groundtruth / "mesh_gt.ply")
+    compare(result.mesh, truth, [scene.image(i) for i in chosen], path, scene.name, fscore)
+
+
+def write_metrics(
+    run: Path, label: str, mean: Mapping[str, float], results: Mapping[str, SceneResult]
+) -> None:
+    """Write a run's ``metrics.json``, which means that the run is finished.
+
+    Args:
+        run: its directory.
+        label: the row's name.
+        mean: of each metric over scenes.
+        results: by scene.
+    """
+    metrics = {
+        "protocol": PROTOCOL,
+        "label": label,
+        "mean": dict(mean),
+        "scenes": {name: result.scores for name, result in results.items()},
+        "details": {name: result.details for name, result in results.items()},
+    }
+    write_json(run / "metrics.json", metrics)

@@ -1,0 +1,214 @@
+"""Evaluation by Lightning: scenes are shared by the processes, their scores put together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import numpy as np
+import torch.distributed
+from lightning.pytorch.callbacks import Callback
+from rich.progress import Progress, TaskID
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from tf_lab.data.scene import Scene
+from tf_lab.evaluation.collection import scene_means
+from tf_lab.evaluation.protocol import compared, read_groundtruth
+from tf_lab.evaluation.registry import METRICS, with_paper
+from tf_lab.evaluation.scenes import SceneResult, save_scene, write_metrics
+from tf_lab.evaluation.scores import Scores
+from tf_lab.network.network import Network
+from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.support.progress import progress_bar
+
+
+def scene_loader(scenes: Sequence[Path], trainer: L.Trainer | None) -> DataLoader[Path | None]:
+    """The scenes that are this process's, one at a time; no other process has them.
+
+    Where there are fewer scenes than processes, a process without any gets None: Lightning lets
+    one that has nothing to do pass by the end of the epoch, where the others wait for it.
+    """
+    rank, world = (0, 1) if trainer is None else (trainer.global_rank, trainer.world_size)
+    own: list[Path | None] = [*scenes[rank::world]] or [None]
+    return DataLoader(own, batch_size=None)  # type: ignore[arg-type]
+
+
+class SceneSplit(L.LightningDataModule):
+    """The scenes of a test, shared by the processes."""
+
+    def __init__(self, scenes: Sequence[Path]) -> None:
+        super().__init__()
+        self.scenes = scenes
+
+    def test_dataloader(self) -> DataLoader[Path | None]:
+        """Scene directories, one at a time."""
+        return scene_loader(self.scenes, self.trainer)
+
+
+class SceneEvaluation(L.LightningModule):
+    """Reconstructs whole scenes and scores them; the means are over the scenes of all processes.
+
+    Processes wait for each other at the end of an epoch only, however many scenes each has.
+
+    Args:
+        network: what reconstructs.
+        settings: how.
+        metrics: settings of metrics beyond the paper's.
+        run: where a test writes ``metrics.json``, meshes and pictures.
+        label: the row's name.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        settings: ReconstructionSettings,
+        metrics: Sequence[Any] = (),
+        run: Path | None = None,
+        label: str = "",
+    ) -> None:
+        super().__init__()
+        self.network, self.capture_settings = network, settings
+        self.scores = scene_means(metrics)
+        self.names = [METRICS.named(each).name for each in with_paper(metrics)]
+        self.run, self.label = run, label
+        self.results: dict[str, SceneResult] = {}
+
+    def validation_step(self, directory: Path | None, batch_idx: int) -> None:
+        """Reconstruct and score a scene of the val split."""
+        if directory is not None:
+            self._score(Scene(directory))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the means over all scenes as ``val/<metric>``."""
+        self.log_dict({f"val/{k}": v for k, v in self._means().items()}, sync_dist=True)
+
+    def on_test_start(self) -> None:
+        """Forget an earlier test."""
+        self.results = {}
+
+    def test_step(self, directory: Path | None, batch_idx: int) -> None:
+        """Reconstruct and score a scene of the test split; write its mesh and picture."""
+        if directory is None:
+            return
+        assert self.run is not None
+        scene = Scene(directory)
+        result, scores, seconds = self._score(scene)
+        self.results[scene.name] = save_scene(result, scene, scores, seconds, self.run)
+
+    def on_test_epoch_end(self) -> None:
+        """Put the scenes of all processes together; the first process writes the run's metrics."""
+        mean, shares = self._means(), [self.results]
+        self.log_dict({f"test/{k}": v for k, v in mean.items()}, sync_dist=True)
+        if self.trainer.world_size > 1:
+            shares = [{}] * self.trainer.world_size
+            torch.distributed.all_gather_object(shares, self.results)
+        if self.trainer.is_global_zero:
+            assert self.run is not None
+            results = in_turn(shares)
+            seen = float(np.mean([r.details["median_views"] for r in results.values()]))
+            print(f"the median surface point of a test scene is seen by {seen:.0f} keyframes")
+            write_metrics(self.run, self.label, mean, results)
+
+    def _score(self, scene: Scene) -> tuple[Reconstruction, Scores, float]:
+        """A scene's reconstruction, its scores, and the seconds that reconstructing it took."""
+        start = time.time()
+        result = reconstruct(self.network, scene, self.capture_settings)
+        seconds = time.time() - start
+        truth = read_groundtruth(scene.groundtruth)
+        return result, in_order(self.scores(compared(result.mesh, truth)), self.names), seconds
+
+    def _means(self) -> Scores:
+        """The means over the scenes of all processes; the next epoch starts anew."""
+        means = in_order(self.scores.compute(), self.names)
+        self.scores.reset()
+        return means
+
+
+def in_order(found: Mapping[str, Tensor], names: Sequence[str]) -> Scores:
+    """What a collection, which sorts its metrics, computed, in the order of the tables."""
+    return {name: float(found[name]) for name in names}
+
+
+def in_turn(shares: Sequence[Mapping[str, SceneResult]]) -> dict[str, SceneResult]:
+    """The results of all processes in the order of the scenes, which they had in turn."""
+    rounds = zip_longest(*(share.items() for share in shares))
+    return dict(pair for pairs in rounds for pair in pairs if pair is not None)
+
+
+class EvaluationProgress(Callback):
+    """A progress bar over the scenes of the first process, with the newest F-score."""
+
+    def __init__(self) -> None:
+        self.bar: Progress | None = None
+        self.task = TaskID(0)
+
+    def on_test_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Show the bar."""
+        if trainer.is_global_zero:
+            self.bar = progress_bar()
+            self.bar.start()
+            self.task = self.bar.add_task("testing", total=trainer.num_test_batches[0])
+
+    def on_test_batch_end(
+        self,
+        trainer: L.Trainer,
+        pl_module: L.LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
+        """Count a scene."""
+        if self.bar is not None:
+            assert isinstance(pl_module, SceneEvaluation)
+            newest = [*pl_module.results.values()][-1].scores["fscore"]
+            self.bar.update(self.task, advance=1, description=f"testing: F {newest:.3f}")
+
+    def on_test_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Leave the finished bar on the screen."""
+        if self.bar is not None:
+            self.bar.stop()
+
+    def on_exception(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
+    ) -> None:
+        """Give the terminal back."""
+        self.on_test_end(trainer, pl_module)
+
+
+def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices: Any) -> None:
+    """Test a network on scenes; write ``metrics.json``, meshes and pictures to the module's run.
+
+    Args:
+        module: the network, in evaluation mode, and how to reconstruct.
+        scenes: scene directories with ground truth; at least one.
+        devices: of the trainer: accelerator, devices, num_nodes, strategy.
+    """
+    trainer = L.Trainer(
+        **devices,
+        callbacks=[EvaluationProgress()],
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        use_distributed_sampler=False,
+        inference_mode=False,  # as outside Lightning
+    )
+    try:
+        trainer.test(module, datamodule=SceneSplit(scenes), verbose=False)
+    except SystemExit as end:  # how Lightning ends at an interrupt
+        raise KeyboardInterrupt from end
+
+
+def first_says(decision: bool) -> bool:
+    """The first process's decision, in every process of a distributed training."""
+    said = [decision]
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        torch.distributed.broadcast_object_list(said)
+    return said[0]

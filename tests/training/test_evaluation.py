@@ -1,0 +1,151 @@
+"""Processes share the scenes of an evaluation, and report together what one reports alone."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import pytest
+import torch
+import trimesh
+
+from tf_lab.data.scene import Scene
+from tf_lab.evaluation import PAPER
+from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.evaluation.scores import mean_scores
+from tf_lab.evaluation.settings import NormalsSettings
+from tf_lab.meshes.files import read_mesh
+from tf_lab.online.captures import CaptureSettings, Reconstruction
+from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, scene_loader
+
+Evaluate = Callable[..., tuple[SceneEvaluation, Path]]
+MORE = [NormalsSettings()]
+
+
+class Shared:
+    """What a scene loader asks of a trainer."""
+
+    def __init__(self, rank: int, world: int) -> None:
+        self.global_rank, self.world_size = rank, world
+
+
+@pytest.mark.parametrize("count", range(1, 8))
+@pytest.mark.parametrize("world", [1, 2, 3])
+def test_each_scene_is_one_processs(count: int, world: int) -> None:
+    scenes = [Path(f"scene{i}") for i in range(count)]
+    shares = [[*scene_loader(scenes, Shared(rank, world))] for rank in range(world)]  # type: ignore[arg-type]
+    assert all(shares)  # none is without a batch, with which Lightning would leave it behind
+    own = [scene for share in shares for scene in share if scene is not None]
+    assert sorted(own) == scenes
+    assert max(map(len, shares)) - min(map(len, shares)) <= 1
+
+
+@pytest.fixture
+def scenes(box_scene: Path, tmp_path: Path) -> list[Path]:
+    """Five scenes, which are the same room under names of their own."""
+    found = []
+    for i in range(5):
+        directory = tmp_path / "scenes" / f"room{i}"
+        directory.mkdir(parents=True)
+        for path in box_scene.iterdir():
+            (directory / path.name).symlink_to(path)
+        meta = json.loads((box_scene / "scene.json").read_text())
+        (directory / "scene.json").unlink()
+        (directory / "scene.json").write_text(json.dumps({**meta, "name": directory.name}))
+        found.append(directory)
+    return found
+
+
+def prediction(scene: Scene) -> trimesh.Trimesh:
+    """The ground truth, twice the scene's number of centimetres off; of room 3 nothing."""
+    mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
+    number = int(scene.name[-1])
+    mesh.apply_translation((0.02 * number,) * 3)
+    return trimesh.Trimesh() if number == 3 else mesh
+
+
+@pytest.fixture
+def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]) -> Evaluate:
+    """Evaluates some of the scenes by so many processes; returns the module and the run."""
+
+    def reconstruct(network: object, scene: Scene, settings: object) -> Reconstruction:
+        return Reconstruction(prediction(scene), [0, 1], [f"by {os.getpid()}"])
+
+    monkeypatch.setattr("tf_lab.training.evaluation.reconstruct", reconstruct)
+    monkeypatch.setattr("tf_lab.evaluation.scenes.draw", lambda *_: None)
+    monkeypatch.setattr("tf_lab.evaluation.protocol.SAMPLES", 2000)
+
+    def run(name: str, count: int, **devices: Any) -> tuple[SceneEvaluation, Path]:
+        network: Any = torch.nn.Identity()
+        module = SceneEvaluation(network, CaptureSettings(), MORE, tmp_path / name, "Ours")
+        evaluate_network(module, scenes[:count], accelerator="cpu", **devices)
+        return module, tmp_path / name
+
+    return run
+
+
+def stored(run: Path) -> dict[str, Any]:
+    return json.loads((run / "metrics.json").read_text())
+
+
+def test_one_process_writes_what_the_protocol_says(evaluate: Evaluate, scenes: list[Path]) -> None:
+    _, run = evaluate("one", 5, devices=1)
+    metrics = stored(run)
+    assert [*metrics] == ["protocol", "label", "mean", "scenes", "details"]
+    assert (metrics["protocol"], metrics["label"]) == ("transformerfusion", "Ours")
+    expected = {
+        scene.name: evaluate_scene(prediction(scene), scene.groundtruth, metrics=MORE)
+        for scene in map(Scene, scenes)
+    }
+    assert metrics["scenes"] == expected
+    assert [*metrics["scenes"]] == [*metrics["details"]] == [scene.name for scene in scenes]
+    for scores in (metrics["mean"], *metrics["scenes"].values()):
+        assert [*scores] == [*PAPER, "normals"]
+    assert metrics["mean"] == pytest.approx(mean_scores(expected.values()), abs=1e-12)
+    assert len({scores["acc"] for scores in expected.values()}) == 5
+    assert [*metrics["details"]["room0"]] == ["seconds", "keyframes", "skipped", "median_views"]
+    assert sorted(path.name for path in (run / "meshes").iterdir()) == [
+        f"{scene.name}.ply" for scene in scenes
+    ]
+
+
+@pytest.mark.parametrize("count", [5, 1])
+def test_two_processes_report_what_one_does(evaluate: Evaluate, count: int) -> None:
+    """Also of fewer scenes than processes, one of which then has none."""
+    one, two = (
+        stored(evaluate(name, count, devices=devices, strategy=strategy)[1])
+        for name, devices, strategy in (("one", 1, "auto"), ("two", 2, "ddp_fork"))
+    )
+    assert two["mean"] == pytest.approx(one["mean"], abs=1e-6)
+    assert two["scenes"] == one["scenes"]
+    assert [*two["scenes"]] == [*one["scenes"]]  # in the same order
+    workers = [details["skipped"][0] for details in two["details"].values()]
+    assert len({*workers}) == min(2, count)
+    assert workers == [workers[i % 2] for i in range(count)]  # every other one each
+
+
+class Validated(L.LightningDataModule):
+    """Scenes as those of a val split."""
+
+    def __init__(self, scenes: list[Path]) -> None:
+        super().__init__()
+        self.scenes = scenes
+
+    def val_dataloader(self) -> Any:
+        return scene_loader(self.scenes, self.trainer)
+
+
+def test_validation_is_shared_as_well(evaluate: Evaluate, scenes: list[Path]) -> None:
+    module, run = evaluate("one", 3, devices=1)
+    trainer = L.Trainer(
+        accelerator="cpu",
+        devices=2,
+        strategy="ddp_fork",
+        logger=False,
+        enable_progress_bar=False,
+        use_distributed_sampler=False,
+    )
+    (logged,) = trainer.validate(module, datamodule=Validated(scenes[:3]), verbose=False)
+    assert logged == pytest.approx({f"val/{k}": v for k, v in stored(run)["mean"].items()})
