@@ -1,6 +1,7 @@
 """`python -m tf_lab.train`: the main job, every ablation of the paper, sweeps, reuse, loggers."""
 
 import csv
+import json
 import math
 import threading
 from collections.abc import Callable
