@@ -1,10 +1,8 @@
 """docs/extending.md, followed to the letter: its package works without a change of tf_lab."""
 
-import json
 import os
 import re
 import shlex
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
