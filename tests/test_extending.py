@@ -1,5 +1,6 @@
 """docs/extending.md, followed to the letter: its package works without a change of tf_lab."""
 
+import json
 import os
 import re
 import shlex
@@ -60,6 +61,37 @@ def results(package: Path, home: Path) -> dict[str, Result]:
 
 
 def test_every_command_works(results: dict[str, Result]) -> None:
-    assert len(results) >= 7
+    assert len(results) >= 8
     for command, result in results.items():
         assert result.status == 0, f"{command}\n{result.err}"
+
+
+def test_help_names_the_parts_and_their_settings(results: dict[str, Result]) -> None:
+    lines = results["train fusion=recurrent --help"].out.splitlines()
+    for choice in ("* fusion=recurrent", "  select=spread", "  data=folders"):
+        assert any(line.startswith(choice) for line in lines), choice
+    (layers,) = (line for line in lines if line.strip().startswith("fusion.layers="))
+    assert "recurrent layers" in layers
+
+
+def test_settings_decide_what_is_trained(results: dict[str, Result]) -> None:
+    """A policy and a metric reuse the training; other layers and other data are other trainings."""
+    trained = {c: r.path("training") for c, r in results.items() if "training:" in r.out}
+    first = trained["train fusion=recurrent"]
+    assert trained["train fusion=recurrent select=spread"] == first
+    assert trained["train fusion=recurrent select=spread metrics=recall2"] == first
+    assert len(set(trained.values())) == 3
+
+
+def test_the_metric_is_in_the_row(results: dict[str, Result], home: Path) -> None:
+    result = results["train fusion=recurrent select=spread metrics=recall2"]
+    assert "Recall 2 cm" in result.out
+    metrics = json.loads((home / result.path("run") / "metrics.json").read_text())
+    assert 0 <= metrics["mean"]["recall2"] <= metrics["mean"]["recall"]  # 2 cm are less than 5
+
+
+def test_the_report_has_their_rows(results: dict[str, Result], home: Path) -> None:
+    assert results["report"].status == 0
+    tables = (home / "outputs" / "report" / "tables.md").read_text()
+    for label in ("recurrent", "spread"):
+        assert re.search(rf"^\| Ours: .*{label}", tables, re.MULTILINE), label
