@@ -28,7 +28,7 @@ from tf_lab.experiments.inventory import (
 )
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.support.files import remove_directory
-from tf_lab.support.tables import aligned
+from tf_lab.support.tables import NOTHING, aligned
 
 
 def main() -> None:
@@ -95,7 +95,8 @@ def listing(output: Path) -> str:
         first.append([*_start(entry), minutes, "; ".join(used)])
     second = [["EVALUATION", "STATE", "COMMIT", "F-SCORE", "ROW / SEED"]]
     for entry in runs:
-        score = f"{entry.fscore:.3f}" if entry.fscore is not None else ""
+        none = NOTHING if entry.state == "finished" else ""
+        score = f"{entry.fscore:.3f}" if entry.fscore is not None else none
         second.append([*_start(entry), score, entry.label])
     tables = {TRAININGS: aligned(first, "l"), RUNS: aligned(second, "l")}
     return "\n\n".join(f"{output / name}:\n{table}" for name, table in tables.items())
@@ -110,7 +111,7 @@ def _start(entry: Entry) -> list[str]:
 def details(entry: Entry) -> str:
     """All that is known of a training or an evaluation."""
     lines = [f"{entry.directory}: {entry.label}, {', '.join(_start(entry)[1:])}"]
-    metrics = read_metrics(entry.directory) if entry.fscore is not None else None
+    metrics = read_metrics(entry.directory) if entry.state == "finished" else None
     if metrics is not None:
         rows = [*metrics["scenes"].items(), (metrics["label"], metrics["mean"])]
         lines += ["", format_table(rows, "Scene")]

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.axes import Axes
 from PIL import Image
 
-from helpers.made_up_runs import ROWS, write_run, write_study
+from helpers.made_up_runs import ROWS, change_scores, write_run, write_study
 from tf_lab.reporting.charts import rows_chart, save_chart, views_chart
 from tf_lab.reporting.paper import ATTENTION, RANDOM, SCORES
 from tf_lab.reporting.studies import Study, open_study
@@ -47,6 +47,7 @@ def test_fscore_of_every_row(study: Study) -> None:
 def test_what_is_missing(tmp_path: Path) -> None:
     write_run(tmp_path, "views=4", 0, [0.5])
     write_run(tmp_path, "fusion=avg refine=false", 0, [0.4])
+    change_scores(write_run(tmp_path, "views=8", 0, [0.5]), "fscore")
     study, _ = open_study([tmp_path])
     (axes,) = rows_chart(study).axes
     labels = [label.get_text() for label in axes.get_yticklabels()]

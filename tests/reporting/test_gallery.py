@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from matplotlib.figure import Figure
 
-from helpers.made_up_runs import write_run
+from helpers.made_up_runs import change_scores, write_run
 from tf_lab.errors import TFLabError
 from tf_lab.reporting import gallery
 from tf_lab.reporting.gallery import draw_scene, scene_runs
@@ -61,6 +61,15 @@ def test_a_panel_a_row(study: Study, drawn: list[Figure], tmp_path: Path) -> Non
     np.testing.assert_array_equal(truth, ours)  # the same mesh by the same camera
     assert (empty == 255).all()
     assert (other != ours).any() and (other < 250).any()
+
+
+def test_a_run_without_the_fscore_has_none_in_its_title(
+    study: Study, drawn: list[Figure], tmp_path: Path
+) -> None:
+    change_scores(study.runs["Ours", 1].directory, "fscore")
+    again = open_study([tmp_path])[0]
+    draw_scene(scene_runs(again, ROOM), ROOM, None, tmp_path / "a.png", size=(60, 45))
+    assert next(axes.get_title() for axes in drawn[0].axes if axes.images) == "Ours"
 
 
 def test_without_ground_truth(study: Study, drawn: list[Figure], tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from helpers.made_up_runs import ROWS, SCENES, scores, write_run
+from helpers.made_up_runs import ROWS, SCENES, change_scores, scores, write_run
 from tf_lab.errors import TFLabError
 from tf_lab.reporting.results import find_runs, keep_run, read_run
 
@@ -18,6 +18,15 @@ def test_a_run(tmp_path: Path) -> None:
     assert run.scenes == {s: scores(f) for s, f in zip(SCENES, (0.5, 0.6, 0.7, 0.8), strict=True)}
     assert [maker["commit"] for maker in run.makers] == ["abcdef0123456789"] * 2
     assert run.finished == 1e9
+
+
+def test_a_run_of_other_metrics_is_a_run_of_the_same_study(tmp_path: Path) -> None:
+    ours, other = (write_run(tmp_path, "", seed, [0.5, 0.6]) for seed in range(2))
+    change_scores(other, "recall", normals=0.9)
+    (run, plain), damaged = find_runs([other, ours])
+    assert damaged == []
+    assert {*run.scenes[SCENES[0]]} == {*scores(0)} - {"recall"} | {"normals"}
+    assert run.settings == plain.settings
 
 
 @pytest.mark.parametrize(("row", "overrides"), ROWS.items())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.made_up_runs import ROWS, SCENES, write_run, write_study
+from helpers.made_up_runs import ROWS, SCENES, change_scores, write_run, write_study
 from tf_lab.reporting.formats import Column, Number, Table, comma_separated, latex, markdown
 from tf_lab.reporting.paper import ABLATIONS, BASELINES, SCORES
 from tf_lab.reporting.studies import Study, open_study
@@ -130,6 +130,32 @@ def test_details(study: Study) -> None:
     first = study.runs[rows[0]["row"], 0].scenes[SCENES[0]]
     assert float(rows[0]["fscore"]) == pytest.approx(first["fscore"], abs=1e-6)
     assert len(records(runs_table(study, "Ours"))) == 3 * len(SCENES)
+
+
+def test_metrics_that_only_some_runs_have(tmp_path: Path) -> None:
+    """Missing ones are dashes, further ones columns; a mean is over the seeds that have it."""
+    for seed, normals in enumerate((0.8, 0.9)):
+        change_scores(write_run(tmp_path, "", seed, [0.5]), "recall", normals=normals)
+    write_run(tmp_path, "", 2, [0.5])
+    change_scores(write_run(tmp_path, "fusion=avg", 0, [0.5]), "fscore")
+    study, remarks = open_study([tmp_path])
+    assert remarks == []
+    for make in (short_table, main_table):
+        columns = [column.title for column in make(study).columns]
+        assert columns[1:8] == ["Acc", "Compl", "Chamfer", "Prec", "Recall", "F-score", "Normals"]
+        assert make(study).columns[7].better == "up"
+        found = cells(make(study))
+        assert found["Ours"][4].strip("*") == "0.460"  # of one seed
+        assert found["Ours"][6] == "0.850 ± 0.071"  # of two
+        assert found["Ours: w/o TRSF, avg"][5:7] == ["-", "-"]
+    assert cells(seed_table(study))["Ours: w/o TRSF, avg"] == ["-"] * 4
+    assert cells(scene_table(study))["Ours: w/o TRSF, avg"] == ["-"]
+    assert cells(comparison_table(study))["Ours: w/o TRSF, avg"][1:6] == ["-"] * 5
+    found = cells(orderings_table(study))["Ours: w/o TRSF, avg < Ours"]
+    assert found == [*["-"] * 4, "+0.098", "missing", "missing"]
+    first, second, third, other = records(runs_table(study))[1:] + records(runs_table(study))[:1]
+    assert [r["normals"] for r in (first, second, third)] == ["0.8", "0.9", ""]
+    assert (first["recall"], third["recall"], other["fscore"]) == ("", "0.46", "")
 
 
 def test_missing_rows_are_said(study: Study) -> None:

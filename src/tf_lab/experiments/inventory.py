@@ -26,7 +26,7 @@ class Entry:
         user: the process that works on it; None: nobody.
         config: its config; None if that cannot be read.
         origin: its provenance; empty unless it is finished (an evaluation: begun).
-        fscore: of a finished evaluation.
+        fscore: of a finished evaluation that has one.
     """
 
     directory: Path
@@ -88,9 +88,9 @@ def _run(directory: Path) -> Entry:
     origin: Origin = {}
     try:
         origin = origin_of(directory)
-        fscore = json.loads((directory / "metrics.json").read_text())["mean"]["fscore"]
+        fscore = json.loads((directory / "metrics.json").read_text())["mean"].get("fscore")
         state = "finished"
-    except (TFLabError, OSError, ValueError, KeyError, TypeError):
+    except (TFLabError, OSError, ValueError, KeyError, TypeError, AttributeError):
         state = "damaged" if (directory / "metrics.json").exists() else "unfinished"
     return Entry(directory, state, holder(directory), config, origin, fscore)
 
