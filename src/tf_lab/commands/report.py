@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-import trimesh
+from typing import TYPE_CHECKING
 
 from tf_lab.config.schema import ReportConfig
-from tf_lab.data.sources.source import open_source
-from tf_lab.meshes.files import read_mesh
 from tf_lab.reporting.formats import markdown
 from tf_lab.reporting.gallery import draw_scene, scene_runs
 from tf_lab.reporting.orderings import summary
@@ -18,6 +15,9 @@ from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import short_table
 from tf_lab.support.files import check_folder
 from tf_lab.support.progress import progress_bar
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 def run(config: ReportConfig) -> None:
@@ -47,6 +47,9 @@ def draw_pictures(study: Study, folder: Path) -> int:
 
 def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
     """The ground truth of a run's test scene, if it is on this machine."""
+    from tf_lab.data.sources.source import open_source  # slow, and only for pictures
+    from tf_lab.meshes.files import read_mesh
+
     if not run.config.data.root:  # a kept copy
         return None
     digest = run.makers[0].get("scenes", {}).get(scene)
