@@ -53,7 +53,8 @@ class EagerReconstructor(Reconstructor):
         logits = level.logits(rows, torch.full_like(rows, frame)) if store.heads else None
         store.add(frame, rows, level.keys(rows), logits, level.centers(frame, rows))
         kept, filled = level.measurements(rows, store.views)
-        psi, _ = self.network.fuse(level.name, self.network.embed_kept(level.name, kept), filled)
+        tokens = self.network.embed_kept(level.name, kept)
+        psi, _ = self.network.fuse(level.name, tokens, filled, store.frames[rows])
         if store.heads:
             tokens = self.network.embed(level.name, kept)
             logits = self.network.selection_logits(level.name, tokens)

@@ -118,7 +118,7 @@ class Level:
             k = max(1, most[min(start + batch, len(rows)) - 1])
             kept, slots = self.measurements(rows[part], k)
             tokens = self.network.embed_kept(self.name, kept)
-            fused, w = self.network.fuse(self.name, tokens, slots)
+            fused, w = self.network.fuse(self.name, tokens, slots, frames[rows[part], :k])
             psi[part], weights[part, :k] = fused.float(), w.float()
         return psi, weights
 
