@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.frames import Frames
-from tf_lab.online.lattice.blocks import Blocks, dilate, offsets
+from tf_lab.online.lattice.blocks import Blocks, dilate
 from tf_lab.online.lattice.table import Table
 from tf_lab.online.views.store import ViewStore
 
@@ -63,11 +63,6 @@ class Level:
     def points(self, rows: Tensor) -> Tensor:
         """Voxel centres [P, 3], metres."""
         return (self.blocks.voxels(rows).float() + 0.5) * self.voxel
-
-    def samples(self, rows: Tensor, n: int) -> Tensor:
-        """Centres [P, n^3, 3] (metres) of the n^3 cells of every voxel, x slowest."""
-        inner = ((offsets(n, rows.device) + 0.5) / n - 0.5) * self.voxel
-        return self.points(rows)[:, None] + inner
 
     @property
     def active(self) -> Tensor:
