@@ -7,10 +7,11 @@ import hypothesis
 import pytest
 import torch
 
-import box_room
+from helpers import box_room
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.scene import write_scene
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 
 # The same examples at every run: a failure is a change of the code, never of the dice.
 hypothesis.settings.register_profile("tf_lab", deadline=None, max_examples=50, derandomize=True)

@@ -7,14 +7,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from online.scenes import surface_of
+from helpers.online.scenes import surface_of
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
-from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkSettings
-from tf_lab.data.embedded import FLATS, ROOMS, EmbeddedSplit
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import ChunkSettings
+from tf_lab.data.sources.embedded import FLATS, ROOMS, EmbeddedSplit
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
 from tf_lab.network.network import Network

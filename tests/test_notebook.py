@@ -9,7 +9,7 @@ import pytest
 from nbclient import NotebookClient
 from PIL import Image
 
-from made_up_runs import ROWS, write_study
+from helpers.made_up_runs import ROWS, write_study
 from tf_lab.reporting.paper import SCORES
 
 NOTEBOOK = Path(__file__).resolve().parents[1] / "notebooks" / "results.ipynb"

@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
-from tf_lab.cli.text_settings import expand
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.inventory import (
@@ -65,7 +63,7 @@ def main() -> None:
 
 
 def _folder(path: str) -> Path:
-    return Path(expand(path))
+    return Path(os.path.expanduser(path))  # noqa: PTH111  # pathlib fails without such a user
 
 
 def remove(entries: Sequence[Entry], dry_run: bool) -> None:
@@ -122,7 +120,8 @@ def details(entry: Entry) -> str:
         training = known["training"]
         known["training"] = {k: v for k, v in training.items() if k != "config"}
     lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
-    lines += ["", "config:", yaml.safe_dump(entry.config, sort_keys=False).rstrip()]
+    path = entry.directory / "config.yaml"
+    lines += ["", "config:", path.read_text(encoding="utf-8").rstrip()] if path.exists() else []
     return "\n".join(lines)
 
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
-from tiny_jobs import TINY, Result, call, start, tiny_config
 
-from tf_lab.config.datasets import prepare_data
+from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
 from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
 from tf_lab.evaluation import pictures, protocol
 from tf_lab.support.files import atomic_directory
 
@@ -48,8 +48,8 @@ def surroundings(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("WANDB_SILENT", "true")
     small = functools.partial(pictures.compare, size=(96, 72))
     monkeypatch.setattr("tf_lab.evaluation.scenes.compare", small)
-    monkeypatch.setattr("tf_lab.reconstruct.compare", small)
-    monkeypatch.setattr("tf_lab.prepare.compare", small)
+    monkeypatch.setattr("tf_lab.commands.reconstruct.compare", small)
+    monkeypatch.setattr("tf_lab.commands.prepare.compare", small)
     monkeypatch.setattr(protocol, "SAMPLES", 20_000)
 
 
@@ -94,7 +94,7 @@ def rooms(outputs: Path, cache: Path) -> Callable[[str], list[Path]]:
     """The scene directories of a split of the tiny rooms. Don't write to them."""
 
     def find(split: str) -> list[Path]:
-        return prepare_data(tiny_config(f"data.root={cache}"), (split,))[split]
+        return [*open_source(tiny_config(f"data.root={cache}").data).scenes(split)[split].values()]
 
     return find
 

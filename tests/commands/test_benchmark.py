@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tiny_jobs import call
 
+from helpers.tiny_jobs import call
 from tf_lab.benchmarks.floor import frame_floor
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.meter import Meter

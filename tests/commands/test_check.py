@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_jobs import call
 
-from injections import INJECTIONS
-from layouts import plain, room_frames
+from helpers.injections import INJECTIONS
+from helpers.layouts import plain, room_frames
+from helpers.tiny_jobs import call
 from tf_lab.data.captures import ImportSettings, Prepared, import_capture, summarise
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 
 DOWN = "gravity=[0,0,-1]"
 

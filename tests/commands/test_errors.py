@@ -9,22 +9,11 @@ import torch
 from hydra.errors import HydraException
 from safetensors import safe_open
 from safetensors.torch import save_file
-from tiny_jobs import TINY, Result, call, start
 
+from helpers.tiny_jobs import TINY, Result, call, start, told
 from tf_lab.errors import TFLabError
 
 Train = Callable[..., Result]
-
-
-def told(result: Result, *expected: str) -> None:
-    """That the command failed with one line that says all of this."""
-    lines = result.err.splitlines()
-    assert len(lines) == 1, result.err
-    assert lines[0].startswith("error: ")
-    for text in expected:
-        assert text in lines[0], lines[0]
-    assert "Traceback" not in result.out
-    assert result.status == 2
 
 
 # --- a user's own capture ------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tiny_jobs import Result, call, start
 
+from helpers.tiny_jobs import Result, call, start
 from tf_lab.meshes.files import read_mesh
 
 METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}

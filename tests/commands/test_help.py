@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from tiny_jobs import call, start
 
+from helpers.tiny_jobs import call, start
 from tf_lab.cli.command import conf_dir, plain
 
 COMMANDS = sorted(path.stem for path in Path(conf_dir()).glob("*.yaml"))

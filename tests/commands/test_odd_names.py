@@ -5,10 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from test_errors import told
-from tiny_jobs import TINY, Result, call
 
-from made_up_runs import ROWS, write_study
+from helpers.made_up_runs import ROWS, write_study
+from helpers.tiny_jobs import TINY, Result, call, told
 from tf_lab.reporting.paper import SCORES
 
 ODD = ["2024_01_01", "~/my Küche, (1) #a='b' ${x}"]

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from PIL import Image
-from tiny_jobs import TINY, Result, call
-
-from layouts import plain as plain_layout
-from layouts import room_frames, scannet
-from tf_lab.cli.command import conf_dir, plain
 from tf_lab.config.datasets import identified, prepare_data
+
+from helpers.layouts import plain as plain_layout
+from helpers.layouts import room_frames, scannet
+from helpers.tiny_jobs import TINY, Result, call
+from tf_lab.cli.command import conf_dir, plain
 from tf_lab.data import digests
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import run_directory, training_directory
-from tf_lab.network.checkpoint import read_info
+from tf_lab.support.headers import read_info
 
 OF_ROOMS = ("data.size", "data.val_size", "data.test_size", "data.frames", "data.test_frames")
 SETTINGS = (

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_jobs import TINY, call, environment, start, tiny_config
 
-from layouts import room_frames, seven_scenes
-from tf_lab.config.datasets import scene_directory
+from helpers.layouts import room_frames, seven_scenes
+from helpers.tiny_jobs import TINY, call, environment, start, tiny_config
 from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
 
 SETTINGS = ("data=captures", "data.width=48", "data.height=36", "data.keyframe_distance=0")
 
@@ -129,8 +129,8 @@ def test_flats_are_a_data_group_like_rooms(cache: Path) -> None:
     assert frames % 12 == 0
     assert f"flat_2000000: {frames} frames, median point seen by" in result.out
     config = tiny_config(*arguments, f"data.root={cache}")
-    assert scene_directory(config, "flat_2000000", None) == flat
-    assert set(config["data"]["version"]) == {"groundtruth", "flats"}
+    assert open_source(config.data).directory("flat_2000000", None) == flat
+    assert set(config.content.versions) == {"groundtruth", "flats"}
 
 
 def test_a_test_scene_that_is_not_there_is_told_before_the_training(captures: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
-from tiny_jobs import Result, call, tiny_config
 
-from lite0 import made_up
+from helpers.lite0 import made_up
+from helpers.tiny_jobs import Result, call, tiny_config
 from tf_lab.config.build import make_network
 
 ROOMS = (

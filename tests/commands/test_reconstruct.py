@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from tiny_jobs import TINY, Result, call, start
+
+from helpers.tiny_jobs import TINY, Result, call, start
 
 # all cells are decoded, so that a hardly trained network gives some surface
 SETTINGS = ("resolution=0.05", "threshold=0", "device=cpu")

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
-from tiny_jobs import TINY, call, environment, tiny_config
 
+from helpers.tiny_jobs import TINY, call, environment, tiny_config
+from tf_lab.commands.train import AtomicSaves
+from tf_lab.commands.train import train as train_network
 from tf_lab.experiments.identity import training_directory
-from tf_lab.train import AtomicSaves
-from tf_lab.train import train as train_network
 
 STEPS = ("optimizer.steps=40", "training.save_every=5")
 

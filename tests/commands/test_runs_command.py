@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from tiny_jobs import Result, call, tiny_config
 
+from helpers.tiny_jobs import Result, call, tiny_config
+from tf_lab.commands.train import write_config
 from tf_lab.experiments.provenance import commit
-from tf_lab.experiments.reuse import commits_of, removal, say_reused
+from tf_lab.experiments.reuse import commits_of, print_reuse, removal
 from tf_lab.support.files import held
-from tf_lab.train import write_config
 
 
 @pytest.fixture
@@ -164,10 +164,10 @@ def test_what_another_code_made_is_reused_and_said(
 ) -> None:
     training = main_job.path("training")
     reused = f"reusing the identical finished training {training}\n"
-    say_reused("training", training)
+    print_reuse("training", training)
     assert capsys.readouterr().out == reused
     monkeypatch.setattr("tf_lab.experiments.reuse.code_version", lambda: "another")
-    say_reused("training", training)
+    print_reuse("training", training)
     first, note = capsys.readouterr().out.splitlines()
     assert first + "\n" == reused
     assert note.startswith(

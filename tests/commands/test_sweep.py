@@ -4,23 +4,25 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
-from test_train import check_run
-from tiny_jobs import TINY, Result, call, environment, start, tiny_config
+from tf_lab.config.datasets import identified
 
+from helpers.run_directory import check_run
+from helpers.tiny_jobs import TINY, Result, call, environment, start, tiny_config
 from tf_lab.cli.command import conf_dir, plain
-from tf_lab.cli.overrides import JOB
 from tf_lab.experiments.identity import training_directory
-from tf_lab.network.checkpoint import read_info
-from tf_lab.support.files import holder
+from tf_lab.experiments.launcher import JOB
+from tf_lab.support.headers import read_info
+from tf_lab.support.processes import Children
 
 Train = Callable[..., Result]
 SIX = ("-m", "views=4,8,16", "select=rnd,attn")
@@ -31,7 +33,7 @@ def jobs_in_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[str]]
     """Jobs run in this process, which is faster; their command lines."""
     commands: list[list[str]] = []
 
-    def run(command: Sequence[str], log: Path, prefix: str) -> int:
+    def run(_: Children, command: Sequence[str], log: Path, *__: object) -> int:
         interpreter, flag, module, *arguments = command
         assert (interpreter, flag, module) == (sys.executable, "-m", "tf_lab.train")
         commands.append(arguments)
@@ -42,7 +44,7 @@ def jobs_in_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[str]]
         log.write_text(result.out + result.err)
         return result.status
 
-    monkeypatch.setattr("tf_lab.experiments.jobs._run", run)
+    monkeypatch.setattr(Children, "run", run)
     yield commands
 
 
@@ -77,7 +79,7 @@ def test_a_sweep_of_six_trains_once(
     train: Train, tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:
     result = train(*SIX, f"output={tmp_path}")
-    assert (result.status, result.err) == (0, "")
+    assert (result.status, result.err) == (0, ""), result.out
     runs = [path.parent for path in tmp_path.glob("runs/*/metrics.json")]
     labels = {check_run(run)["label"] for run in runs}
     assert len(runs) == len(labels) == 6
@@ -109,12 +111,17 @@ def test_a_failing_job_does_not_end_the_others(train: Train) -> None:
     assert "1 of 2 jobs failed" in result.out
 
 
-def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_jobs_process_has_the_jobs_config(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     configs, commands = [], []
-    monkeypatch.setattr("tf_lab.train._finished", lambda cfg: configs.append(plain(cfg)))
-    monkeypatch.setattr(
-        "tf_lab.experiments.jobs._run", lambda command, *_: commands.append(command) or 0
-    )
+
+    def found(config: dict[str, Any]) -> Path:
+        configs.append(config)
+        return tmp_path
+
+    monkeypatch.setattr("tf_lab.train.run_directory", found)
+    monkeypatch.setattr(Children, "run", lambda _, command, *__: commands.append(command) or 0)
     given = ("training.views=[1,2]", "+trainer.max_time='1:2'", "output=a, b=c")
     given += ("data.root=Küche ${x} (1)", "model.name=2024_01_01")
     result = train("sweep=inputs", "seed=3,4", "row=avg,views8_rnd", *given, "hydra.verbose=false")
@@ -123,7 +130,7 @@ def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.Mo
     composed = []
     for command in commands:
         with initialize_config_dir(conf_dir(), version_base="1.3"):
-            composed.append(plain(compose("train", overrides=command[3:])))
+            composed.append(identified(plain(compose("train", overrides=command[3:]))))
     assert len(composed) == 4
     assert composed == configs[::2]  # asked before and after
     assert [(c["seed"], c["fusion"]["strategy"]) for c in composed] == [
@@ -134,33 +141,36 @@ def test_a_jobs_process_has_the_jobs_config(train: Train, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("given", "seen"),
     [
-        (("launcher=local",), "0"),
-        (("launcher=local", "trainer.devices=auto"), None),
-        (("launcher=local", "trainer=ddp"), None),
-        ((), None),
+        (("launcher.jobs=2",), {"0", "1"}),
+        (("launcher.jobs=2", "trainer.devices=auto"), {None}),
+        (("launcher.jobs=2", "trainer=ddp"), {None}),
+        ((), {None}),
     ],
 )
 def test_jobs_of_a_machine_see_one_gpu_each(
     given: tuple[str, ...],
-    seen: str | None,
+    seen: set[str | None],
     train: Train,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Unless they run on several, or one after the other."""
     found = []
+    both = threading.Barrier(2 if given else 1)  # two jobs run at a time
 
-    def run(command: Sequence[str], log: Path, prefix: str) -> int:
-        found.append(os.environ.get("CUDA_VISIBLE_DEVICES"))
+    def run(_: Children, __: Sequence[str], ___: Path, variables: Mapping[str, str], *____) -> int:
+        both.wait(60)
+        found.append(variables.get("CUDA_VISIBLE_DEVICES"))
+        both.wait(60)
         return 0
 
-    monkeypatch.setattr("tf_lab.experiments.jobs._run", run)
+    monkeypatch.setattr(Children, "run", run)
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
-    alone = ("hydra.launcher.n_jobs=1",) if given else ()  # joblib then works in this process
-    train("-m", "seed=5,6", *given, *alone, f"output={tmp_path}")
-    assert found == [seen, seen]
+    result = train("-m", "seed=5,6", "launcher=local", *given, f"output={tmp_path}")
+    assert set(found) == seen
+    assert all(text.startswith("failed: left no result") for text in table(result).values())
 
 
 def test_a_jobs_process_takes_the_launchers_words(train: Train) -> None:
@@ -169,42 +179,52 @@ def test_a_jobs_process_takes_the_launchers_words(train: Train) -> None:
     assert "reusing the identical finished evaluation" in result.out
 
 
-def kill(
-    arguments: Sequence[str], when: Path, environment: dict[str, str], after: float = 0
-) -> None:
-    """Start a sweep and send it SIGKILL some seconds after a file has appeared."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tf_lab.train", *arguments],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        while not when.exists():
-            assert process.poll() is None, "it ended before"
-            time.sleep(0.02)
-        time.sleep(after)
-    finally:
+# a job's process stops for good after its first save, and holds a named pipe open till its end
+STOP = """
+import os, sys
+if "TF_LAB_PARENT" in os.environ:
+    import signal
+    from tf_lab.training.fit import AtomicSaves
+    save = AtomicSaves.save_checkpoint
+    def save_and_stop(*arguments):
+        save(*arguments)
+        global alive
+        alive = open({pipe!r}, "w")
+        signal.pause()
+    AtomicSaves.save_checkpoint = save_and_stop
+"""
+
+
+def kill_while_jobs_train(arguments: Sequence[str], folder: Path) -> None:
+    """Start a sweep, and kill it when a job has saved; returns when that has ended, too."""
+    folder.mkdir()
+    pipe = folder / "alive"
+    os.mkfifo(pipe)
+    (folder / "sitecustomize.py").write_text(STOP.format(pipe=str(pipe)))
+    path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    with (folder / "output.txt").open("w") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tf_lab.train", *arguments],
+            env=environment(PYTHONPATH=path),
+            stdout=output,
+            stderr=output,
+        )
+    with pipe.open() as alive:
         process.kill()
         process.wait()
+        assert alive.read() == ""  # waits until all have ended that opened it
 
 
 @pytest.mark.usefixtures("outputs")
+@pytest.mark.timeout(120)
 def test_jobs_side_by_side_end_with_a_killed_sweep(tmp_path: Path) -> None:
-    sweep = ["-m", *TINY, "optimizer.steps=100000", "seed=0,1", "launcher=local"]
-    output = f"output={tmp_path}"
-    trainings = [
-        training_directory(tiny_config("optimizer.steps=100000", f"seed={seed}", output))
-        for seed in (0, 1)
-    ]
-    kill([*sweep, output], trainings[1] / "last.ckpt", environment())
-    deadline = time.monotonic() + 20
-    while any(holder(training) for training in trainings):
-        assert time.monotonic() < deadline, "a job outlives its sweep"
-        time.sleep(0.05)
+    sweep = ["-m", *TINY, "seed=0,1", "launcher=local", "launcher.jobs=2"]
+    kill_while_jobs_train([*sweep, f"output={tmp_path}"], tmp_path / "stopped")
+    assert not list(tmp_path.glob("trainings/*/model.safetensors"))
 
 
 @pytest.mark.usefixtures("outputs")
+@pytest.mark.timeout(120)
 def test_a_killed_sweep_goes_on_to_the_same_results(
     tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:
@@ -212,14 +232,13 @@ def test_a_killed_sweep_goes_on_to_the_same_results(
     sweep = ["-m", *TINY, "row=ours,views4", "optimizer.steps=40"]
     killed = [*sweep, f"output={tmp_path / 'killed'}"]
     training = training_directory(tiny_config("optimizer.steps=40", killed[-1]))
-    kill(killed, training / "last.ckpt", environment())
-    while holder(training):  # its job ends with it
-        time.sleep(0.05)
+    kill_while_jobs_train(killed, tmp_path / "stopped")
+    assert (training / "last.ckpt").exists()
     assert not (training / "model.safetensors").exists()
 
     result = call("train", *killed)
     assert (result.status, result.err) == (0, "")
-    assert len(read_info(training / "model.safetensors")["training"]["sittings"]) == 2
+    assert len(read_info(training / "model.safetensors")["training"]["sessions"]) == 2
     undisturbed = call("train", *sweep, f"output={tmp_path / 'undisturbed'}")
     assert table(result) == table(undisturbed)
     assert records(tmp_path / "killed") == records(tmp_path / "undisturbed")
@@ -229,13 +248,11 @@ def test_a_killed_sweep_goes_on_to_the_same_results(
 @pytest.mark.slow
 @pytest.mark.usefixtures("outputs")
 @pytest.mark.timeout(1800)
-def test_a_sweep_killed_twice_at_random_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
+def test_a_sweep_killed_twice_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
     sweep = ["-m", *TINY, "row=ours,avg,no_ray", "optimizer.steps=40"]
-    rng = np.random.default_rng(int(time.time()))
     killed = [*sweep, f"output={tmp_path / 'killed'}"]
-    for row in ("ours", "avg"):
-        config = tiny_config("optimizer.steps=40", f"row={row}", killed[-1])
-        kill(killed, training_directory(config), environment(), rng.uniform(0, 10))
+    for number in range(2):
+        kill_while_jobs_train(killed, tmp_path / f"stopped{number}")
     results = [start("train", *killed, cwd=tmp_path)]
     results.append(start("train", *sweep, f"output={tmp_path / 'undisturbed'}", cwd=tmp_path))
     assert [result.status for result in results] == [0, 0]

@@ -7,53 +7,25 @@ import threading
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import lightning as L
 import numpy as np
 import pytest
 import torch
-import trimesh
 import yaml
 from filelock import FileLock
 from PIL import Image
 from safetensors.torch import load_file
-from tiny_jobs import TINY, Result, call, start, tiny_config
 
-import tf_lab
+from helpers.run_directory import check_run
+from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
+from tf_lab.commands.train import train as train_network
 from tf_lab.network.checkpoint import load_network
 from tf_lab.online.views.selection import uniform
-from tf_lab.train import train as train_network
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.module import Training
 
-METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
 Train = Callable[..., Result]
-
-
-def check_run(run: Path) -> dict[str, Any]:
-    """That a run directory holds all of the contract; what its metrics.json says."""
-    metrics = json.loads((run / "metrics.json").read_text())
-    assert metrics["protocol"] == "transformerfusion"
-    assert set(metrics["mean"]) == METRICS
-    assert list(metrics["scenes"]) == ["room_2000000"]
-    (scores,) = metrics["scenes"].values()
-    assert scores == metrics["mean"]  # of one scene
-    assert 0 <= scores["fscore"] <= 1
-    assert 0 <= scores["acc"] <= 100  # cm, capped at 1 m
-    assert scores["chamfer"] == pytest.approx((scores["acc"] + scores["compl"]) / 2)
-    mesh = trimesh.load(run / "meshes" / "room_2000000.ply", process=False)
-    assert (len(getattr(mesh, "faces", [])) > 0) == (scores["recall"] > 0)
-    with Image.open(run / "pictures" / "room_2000000.png") as picture:
-        assert np.asarray(picture.convert("L")).std() > 10  # not blank
-    config = yaml.safe_load((run / "config.yaml").read_text())
-    assert "${" not in (run / "config.yaml").read_text()  # resolved
-    origin = json.loads((run / "run.json").read_text())
-    assert set(origin) >= {"commit", "command", "python", "packages", "machine", "checkpoint"}
-    assert origin["tf_lab"] == tf_lab.__version__
-    assert origin["packages"]["torch"].split("+")[0] == torch.__version__.split("+")[0]
-    assert origin["training"]["config"]["seed"] == config["seed"]
-    return metrics
 
 
 def test_the_main_job(main_job: Result, outputs: Path) -> None:
@@ -108,8 +80,8 @@ def test_every_ablation_runs(train: Train, overrides: str) -> None:
     assert (result.path("training") / "loss.png").exists()
     network, _ = load_network(result.path("training") / "model.safetensors")
     changed = {
-        "fusion=avg": network.config.fusion == "avg",
-        "fusion=pred": network.config.fusion == "pred",
+        "fusion=avg": network.config.fusion == {"strategy": "avg"},
+        "fusion=pred": network.config.fusion == {"strategy": "pred"},
         "inputs=no_depth": not network.config.depth,
         "inputs=no_ray": not network.config.ray,
         "refine=false": not network.config.refine,
@@ -299,7 +271,7 @@ def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outp
     def interrupt(config: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tf_lab.train.train", interrupt)
+    monkeypatch.setattr("tf_lab.commands.train.train", interrupt)
     result = call("train", f"output={outputs}")
     assert result.status == 130
     assert result.err.strip() == "interrupted; the same command goes on from here"

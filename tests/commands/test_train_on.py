@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
-from tiny_jobs import TINY, Result, call, tiny_config
 
+from helpers.tiny_jobs import TINY, Result, call, tiny_config
 from tf_lab.experiments.identity import training_directory
-from tf_lab.network.checkpoint import load_network, read_info, save_network
+from tf_lab.network.checkpoint import load_network, save_network
+from tf_lab.support.headers import read_info
 
 Train = Callable[..., Result]
 NO_TEST = "data.test_size=0"

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tiny_jobs import Result, tiny_config
 
-import small_shards
+from helpers import small_shards
+from helpers.tiny_jobs import Result, tiny_config
 from tf_lab.config.build import chunk_settings
 from tf_lab.data.chunk_sampler import ChunkSampler
 

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import zipfile
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,29 +11,42 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
 
-from tf_lab.cli.command import conf_dir, plain
-from tf_lab.config import build as configuration
+from tf_lab.config.build import build_network, capture_settings
+from tf_lab.config.compose import compose_config, conf_dir
+from tf_lab.config.groups import InputSettings
+from tf_lab.config.schema import COMMANDS as SCHEMAS
+from tf_lab.config.schema import PARTS, register
 from tf_lab.errors import TFLabError
-from tf_lab.online import ReconstructionSettings
+from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.training.module import schedule_factor
 
-CONF = Path(conf_dir())
+CONF = conf_dir()
 REPOSITORY = Path(__file__).resolve().parents[2]
 OPTIONS = sorted(
-    f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.parent != CONF
+    {f"{path.parent.name}={path.stem}" for path in CONF.glob("*/*.yaml") if path.parent != CONF}
+    | {f"{parts.group}={part.choice}" for parts in PARTS for part in parts}
 )
 COMMANDS = sorted(path.stem for path in CONF.glob("*.yaml"))
 
 
-def composed(name: str = "train", *overrides: str) -> dict[str, Any]:
-    """A resolved config, as the command's function gets it."""
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        cfg = compose(name, overrides=list(overrides))
-    return plain(cfg)
+def composed(name: str = "train", *overrides: str) -> Any:
+    """A config, as the command's function gets it."""
+    return compose_config(name, *overrides)
+
+
+def with_hydra(*overrides: str) -> list[Any]:
+    """What the train command gets, and how Hydra is to run it."""
+    register()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        hydra = compose("train", overrides=list(overrides), return_hydra_config=True).hydra
+    how = OmegaConf.masked_copy(hydra, ["mode", "launcher", "sweeper"])
+    return [composed("train", *overrides), OmegaConf.to_container(how)]
 
 
 # what the user has to say beside an option
-NEEDED = {"data=captures": "data.root=captures", "data=shards": "data.urls=shards"}
+NEEDED = {"data=captures": ["data.root=captures"], "data=shards": ["data.urls=shards"]}
 
 
 @pytest.fixture
@@ -45,43 +59,63 @@ def any_launcher() -> None:
 @pytest.mark.usefixtures("any_launcher")
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_composes_and_is_accepted(option: str) -> None:
-    config = composed("train", option, *(NEEDED[o] for o in [option] if o in NEEDED))
-    configuration.chunk_settings(config)
-    configuration.optimizer_settings(config)
-    configuration.test_settings(config)
-    assert isinstance(config["seed"], int)
+    config = composed("train", option, *NEEDED.get(option, []))
+    assert config.training.chunk.images == config.training.images
+    assert capture_settings(config).select == config.select
+    assert isinstance(config.seed, int)
 
 
 @pytest.mark.usefixtures("any_launcher")
 def test_ray_is_told_what_a_job_needs() -> None:
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
+    register()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
         words = ["launcher=ray", "launcher.cpus=4"]
-        launcher = plain(compose("train", words, return_hydra_config=True).hydra.launcher)
+        hydra = compose("train", words, return_hydra_config=True).hydra
+    launcher = OmegaConf.to_container(hydra.launcher, resolve=True)
     assert launcher["ray"] == {"init": {"address": None}, "remote": {"num_gpus": 1, "num_cpus": 4}}
 
 
-def test_the_groups_of_the_contract_exist() -> None:
-    for option in (
-        *("fusion=transformer", "fusion=avg", "fusion=pred", "inputs=no_depth", "inputs=no_ray"),
-        "inputs=matching",
-        *("model=tiny", "model=small", "model=paper", "select=attn", "select=rnd"),
-        "encoder=efficientnet_lite0",
-        *("logger=csv", "logger=tensorboard", "logger=wandb", "logger=wandb_offline"),
-        *("launcher=local", "launcher=slurm", "launcher=ray"),
-        *("sweep=main_ablation", "sweep=inputs", "sweep=views", "sweep=all"),
-    ):
-        assert option in OPTIONS
+# the options that README and sweeps rely on; the first of a group is its default
+CONTRACT = {
+    "fusion": ["transformer", "avg", "pred"],
+    "inputs": ["all", "no_depth", "no_ray", "matching"],
+    "select": ["attn", "rnd", "diverse"],
+    "model": ["tiny", "small", "paper"],
+    "encoder": ["resnet_tiny", "resnet_small", "resnet18", "efficientnet_lite0"],
+    "data": ["rooms", "flats", "scannet", "captures"],
+    "trainer": ["auto", "gpu", "ddp"],
+    "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
+    "launcher": ["", "local", "slurm", "ray"],
+    "sweep": ["", "main_ablation", "inputs", "views", "all"],
+    "row": [
+        *("ours", "avg", "pred", "no_refine", "no_filter", "no_depth", "no_ray", "matching"),
+        *("views4", "views4_rnd", "views8", "views8_rnd", "views16_rnd"),
+    ],
+}
+
+
+@pytest.mark.usefixtures("any_launcher")
+@pytest.mark.parametrize("group", CONTRACT)
+def test_every_option_of_the_contract_says_something_of_its_own(group: str) -> None:
+    """It is there, the first is what happens without a word, and no two are the same."""
+    found: list[Any] = []
+    for option in CONTRACT[group]:
+        word = f"{group}={option}"
+        words = [word, *NEEDED.get(word, [])] if option else []
+        found.append(with_hydra(*words))
+        assert found.count(found[-1]) == 1, option
+    assert found[0] == with_hydra()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_composes(name: str) -> None:
     needed = {"evaluate": ["predictions=a", "groundtruth=b"], "check": ["input=a"]}
     given = needed.get(name, [])
-    assert composed(name, *given)
+    assert isinstance(composed(name, *given), SCHEMAS[name])
 
 
 def test_an_ablation_changes_one_thing() -> None:
-    ours = composed()
+    ours = asdict(composed())
     for option, path, value in (
         ("fusion=avg", ("fusion", "strategy"), "avg"),
         ("fusion=pred", ("fusion", "strategy"), "pred"),
@@ -93,7 +127,7 @@ def test_an_ablation_changes_one_thing() -> None:
         ("select=rnd", ("select", "policy"), "random"),
         ("views=4", ("views",), 4),
     ):
-        changed = composed("train", option)
+        changed = asdict(composed("train", option))
         part = changed
         for key in path[:-1]:
             part = part[key]
@@ -109,30 +143,30 @@ def test_an_ablation_changes_one_thing() -> None:
 def test_paper_is_the_paper() -> None:
     """Sec. 3.1, 3.4 and 3.5: each number as it is printed there."""
     config = composed("train", "model=paper")
-    model, encoder = config["model"], config["encoder"]
-    assert (model["width"], model["blocks"], model["heads"]) == (256, 8, 4)
-    assert (config["fusion"]["strategy"], config["refine"], config["filter"]) == (
+    model, encoder = config.model, config.encoder
+    assert (model.width, model.blocks, model.heads) == (256, 8, 4)
+    assert (config.fusion.strategy, config.refine, config.filter) == (
         *("transformer", True),
         True,
     )
-    assert config["inputs"] == {"depth": True, "ray": True, "matching": False}
+    assert config.inputs == InputSettings(depth=True, ray=True, matching=False)
     # ResNet-18 (He et al. 2016, table 1), pre-trained on ImageNet
-    assert encoder["name"] == "resnet"
-    assert (encoder["blocks"], encoder["width"], encoder["norm"]) == ([2, 2, 2, 2], 64, "batch")
-    assert (encoder["stem_stride"], encoder["stem_pool"]) == (2, True)
-    assert encoder["weights"] == "imagenet"
-    assert encoder["unit_norm"] is False
-    optimizer = config["optimizer"]
-    assert (optimizer["lr"], optimizer["betas"], optimizer["eps"]) == (1e-4, [0.9, 0.999], 1e-8)
-    assert (optimizer["weight_decay"], optimizer["warmup"]) == (1e-4, 5000)
-    assert (optimizer["schedule"], optimizer["clip"]) == ("inverse_sqrt", 0)
-    training = config["training"]
-    assert (training["chunks"], training["images"], training["views"]) == (4, 8, [])
-    assert config["optimizer"]["encoder_factor"] == 1
-    assert (training["points"], training["near_share"]) == (1000, 0.8)
-    assert training["sdf_weight"] == 0
-    assert (config["views"], config["resolution"], config["threshold"]) == (16, 0.02, 0.5)
-    assert config["keyframe_distance"] == 0.1
+    assert encoder.name == "resnet"
+    assert (encoder.blocks, encoder.width, encoder.norm) == ([2, 2, 2, 2], 64, "batch")
+    assert (encoder.stem_stride, encoder.stem_pool) == (2, True)
+    assert encoder.weights == "imagenet"
+    assert encoder.unit_norm is False
+    optimizer = config.optimizer
+    assert (optimizer.lr, optimizer.betas, optimizer.eps) == (1e-4, (0.9, 0.999), 1e-8)
+    assert (optimizer.weight_decay, optimizer.warmup) == (1e-4, 5000)
+    assert (optimizer.schedule, optimizer.clip) == ("inverse_sqrt", 0)
+    training = config.training
+    assert (training.chunks, training.images, training.views) == (4, 8, ())
+    assert config.optimizer.encoder_factor == 1
+    assert (training.points, training.near_share) == (1000, 0.8)
+    assert training.sdf_weight == 0
+    assert (config.views, config.resolution, config.threshold) == (16, 0.02, 0.5)
+    assert config.keyframe_distance == 0.1
 
 
 @pytest.mark.parametrize("model", ["tiny", "small"])
@@ -141,32 +175,30 @@ def test_a_model_takes_any_encoder(model: str, encoder: str | None) -> None:
     """Its maps are the model's; what makes them is the encoder's."""
     words = [] if encoder is None else [f"encoder={encoder}"]
     config = composed("train", f"model={model}", *words, "encoder.weights=none")
-    assert config["encoder"]["name"] == (encoder or "resnet")
-    network = configuration.make_network(config)
+    assert config.encoder.name == (encoder or "resnet")
+    network = build_network(config)
     maps = network.encode(torch.zeros(1, 3, 32, 48))
     for level, stride in (("coarse", 8), ("fine", 2)):
-        channels = config["encoder"][f"{level}_channels"]
+        channels = getattr(config.encoder, f"{level}_channels")
         assert maps[level].shape == (1, channels, 32 // stride, 48 // stride)
-    assert ("width" in config["encoder"]) == (encoder is None)  # nothing of the other's is left
+    assert hasattr(config.encoder, "width") == (encoder is None)  # nothing of the other's is left
 
 
 def test_the_papers_schedule() -> None:
     """Linear to 1e-4 over 5k steps, then with the inverse square root of the step."""
-    settings = configuration.optimizer_settings(composed("train", "model=paper"))
-    assert settings.factor(2499) == pytest.approx(0.5)
-    assert settings.factor(4999) == pytest.approx(1)
-    assert settings.factor(19_999) == pytest.approx(0.5)
-    assert settings.factor(124_999) == pytest.approx(0.2)
+    settings = composed("train", "model=paper").optimizer
+    assert schedule_factor(settings, 2499) == pytest.approx(0.5)
+    assert schedule_factor(settings, 4999) == pytest.approx(1)
+    assert schedule_factor(settings, 19_999) == pytest.approx(0.5)
+    assert schedule_factor(settings, 124_999) == pytest.approx(0.2)
 
 
 def test_the_cosine_schedule_ends_at_zero() -> None:
-    settings = configuration.optimizer_settings(
-        composed("train", "optimizer.steps=1000", "optimizer.warmup=50")
-    )
+    settings = composed("train", "optimizer.steps=1000", "optimizer.warmup=50").optimizer
     assert settings.schedule == "cosine"
-    assert settings.factor(24) == pytest.approx(0.5)
-    assert settings.factor(525) == pytest.approx(0.5, abs=1e-6)
-    assert settings.factor(1000) == pytest.approx(0, abs=1e-6)
+    assert schedule_factor(settings, 24) == pytest.approx(0.5)
+    assert schedule_factor(settings, 525) == pytest.approx(0.5, abs=1e-6)
+    assert schedule_factor(settings, 1000) == pytest.approx(0, abs=1e-6)
 
 
 def test_configs_are_found_from_any_directory(
@@ -175,7 +207,7 @@ def test_configs_are_found_from_any_directory(
     here = composed()
     monkeypatch.chdir(tmp_path)
     assert composed() == here
-    assert Path(conf_dir()).is_absolute()
+    assert conf_dir().is_absolute()
 
 
 @pytest.mark.slow
@@ -196,12 +228,12 @@ def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
     options = {"precision": "bfloat16", "maps_device": "cpu", "maps_budget": 0.5, "batch": 7}
     overrides = [f"online.{name}={value}" for name, value in options.items()]
     for command in ("train", "reconstruct"):
-        found = configuration.test_settings(composed(command, *overrides)).reconstruction
+        found = capture_settings(composed(command, *overrides))
         assert (found.precision, found.maps, found.maps_device) == ("bfloat16", "bfloat16", "cpu")
         assert (found.maps_budget, found.batch) == (2**29, 7)
-        default = configuration.test_settings(composed(command)).reconstruction
+        default = capture_settings(composed(command))
         assert default == ReconstructionSettings(views=16)
-    assert composed("benchmark")["online"] == {**composed()["online"], "precision": "auto"}
+    assert composed("benchmark").online == replace(composed().online, precision="auto")
 
 
 @pytest.mark.parametrize(
@@ -209,4 +241,4 @@ def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
 )
 def test_what_cannot_be_computed_with_is_told(wrong: str) -> None:
     with pytest.raises(TFLabError, match=wrong.removeprefix("maps_d").split("=")[0]):
-        configuration.test_settings(composed("train", f"online.{wrong}"))
+        capture_settings(composed("train", f"online.{wrong}"))

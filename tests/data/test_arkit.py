@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from layouts.video import write_video
+from helpers.layouts.video import write_video
 from tf_lab.data.readers import arkit, open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (48, 36)

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import box_room
-from layouts import arkit, sens
-from layouts.video import held_upright, write_video
-from lenses import moved
+from helpers import box_room
+from helpers.layouts import arkit, sens
+from helpers.layouts.video import held_upright, write_video
+from helpers.lenses import moved
 from tf_lab.data.capture import Capture
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers import open_capture, seven_scenes
 from tf_lab.data.readers.frames_of_video import Video, VideoFrame
-from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import Rig, SourceCapture
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
 
 RigWriter = Callable[[Path, np.ndarray, np.ndarray], Path]

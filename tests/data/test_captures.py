@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from layouts import plain, room_frames, sens, seven_scenes
+from helpers.layouts import plain, room_frames, sens, seven_scenes
 from tf_lab.data import captures
 from tf_lab.data.captures import (
     ImportSettings,
@@ -18,11 +18,11 @@ from tf_lab.data.captures import (
     summarise,
 )
 from tf_lab.data.groundtruth import GroundTruth
-from tf_lab.data.keyframes import pose_distance
 from tf_lab.data.readers import detect_format, open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
+from tf_lab.geometry import pose_distance
 from tf_lab.meshes.files import read_mesh
 
 READ = ReadSettings(gravity=(0.0, 0.0, -1.0))

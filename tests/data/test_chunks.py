@@ -12,12 +12,13 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-import box_room
-from small_shards import same
+from helpers import box_room
+from helpers.small_shards import same
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream, choose_frames
-from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkSettings, make_batch
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK, COARSE, FINE
 

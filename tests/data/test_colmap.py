@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import lenses
+from helpers import lenses
 from tf_lab.data.readers import colmap, open_capture
-from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import SourceCapture
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (120, 90)

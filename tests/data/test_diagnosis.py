@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from injections import INJECTIONS, Frames, opened, source_of
-from layouts import LAYOUTS
+from helpers.injections import INJECTIONS, Frames, opened, source_of
+from helpers.layouts import LAYOUTS
 from tf_lab.data.diagnosis import diagnose, quick_warning
 from tf_lab.data.diagnosis.evidence import Evidence
 from tf_lab.data.diagnosis.matches import Pair, sampson_pixels
 from tf_lab.data.diagnosis.verdict import DOUBTFUL, FINE, UNKNOWN, WRONG, Report
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers import as_read, open_capture
-from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.readers.source import (
     ColorFile,
     DepthFile,
@@ -24,6 +23,7 @@ from tf_lab.data.readers.source import (
     SourceFrame,
     collect,
 )
+from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame
 from tf_lab.errors import TFLabError

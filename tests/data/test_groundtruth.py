@@ -9,7 +9,7 @@ import torch
 import trimesh
 from torch import Tensor
 
-import box_room
+from helpers import box_room
 from tf_lab.data.chunk_weights import EMPTY_SHARE, chunk_candidates
 from tf_lab.data.groundtruth import (
     MAX_DISTANCE,

@@ -12,7 +12,7 @@ from tf_lab.data.capture import Capture, read_depth, read_image
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers import open_capture, plain
 from tf_lab.data.readers.images import at_file_size, image_size, match_depths
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 COUNT = 5

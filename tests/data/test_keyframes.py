@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tf_lab.data.keyframes import pose_distance, select_keyframes
+from tf_lab.data.keyframes import select_keyframes
+from tf_lab.geometry import pose_distance
 
 
 def pose(

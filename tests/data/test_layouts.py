@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from layouts import LAYOUTS, room_frames
+from helpers.layouts import LAYOUTS, room_frames
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
@@ -14,7 +14,7 @@ from tf_lab.data.scene import write_scene
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings, reconstruct
+from tf_lab.online.captures import reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 
 every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))
@@ -50,7 +50,7 @@ def network() -> Network:
 
 
 def fscore(capture: Capture, groundtruth: Path) -> float:
-    settings = CaptureSettings(ReconstructionSettings(views=8, resolution=0.05))
+    settings = ReconstructionSettings(views=8, resolution=0.05)
     return evaluate_scene(reconstruct(network(), capture, settings).mesh, groundtruth)["fscore"]
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import lenses
+from helpers import lenses
 from tf_lab.data.lens import MAX_SLOPE, Camera, camera_of, rectify_image, register_depth
 from tf_lab.errors import TFLabError
 

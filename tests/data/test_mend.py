@@ -8,11 +8,11 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from layouts import LAYOUTS, room_frames
+from helpers.layouts import LAYOUTS, room_frames
 from tf_lab.data.capture import Capture
 from tf_lab.data.captures import ImportSettings
 from tf_lab.data.readers import open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
 from tf_lab.errors import TFLabError
 

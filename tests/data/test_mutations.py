@@ -4,20 +4,19 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-from layouts import LAYOUTS
+from helpers.layouts import LAYOUTS
 
 COUNT = 200  # damaged copies a layout
 
 
 @pytest.mark.parametrize("layout", list(LAYOUTS))
 def test_damaged_captures(layout: str) -> None:
-    path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])  # this tf_lab, too
+    path = os.pathsep.join(sys.path)  # the helpers' place and this tf_lab's
     done = subprocess.run(
-        [sys.executable, str(Path(__file__).with_name("mutate.py")), layout, str(COUNT)],
+        [sys.executable, "-m", "helpers.mutate", layout, str(COUNT)],
         env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-import box_room
-from layouts import plain
+from helpers import box_room
+from helpers.layouts import plain
 from tf_lab.data.captures import ImportSettings, import_capture
 from tf_lab.data.readers import open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame, Scene
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.files import read_mesh, write_mesh

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-import box_room
+from helpers import box_room
 from tf_lab.data.pairs import PairBatch, PairSettings, PairStream
-from tf_lab.data.photometric import PhotometricSettings
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import PhotometricSettings
 from tf_lab.errors import TFLabError
 
 Pair = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

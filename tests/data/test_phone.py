@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from box_room import look
+from helpers.box_room import look
 from tf_lab import geometry
 from tf_lab.data.flats.phone import Filming, Motion, Phone, blur, make_phone, motion_at
 from tf_lab.data.rooms.materials import Textures

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tf_lab.data.photometric import PhotometricSettings, photometric, streak
+from tf_lab.data.photometric import photometric, streak
+from tf_lab.data.settings import PhotometricSettings
 
 NONE = PhotometricSettings()
 ALL = PhotometricSettings(1.0, 0.25, 1.2, 5.0, 0.04, 0.25, 0.25, 40)

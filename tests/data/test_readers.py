@@ -9,7 +9,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tf_lab.data.readers import open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.errors import TFLabError
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from layouts import replica as layout
-from layouts import room_frames
+from helpers.layouts import replica as layout
+from helpers.layouts import room_frames
 from tf_lab.data.readers import open_capture, replica
 from tf_lab.errors import TFLabError
 

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from layouts.sens import JPEG, PNG, RAW, RAW_USHORT, ZLIB_USHORT, Stream
-from lenses import moved
+from helpers.layouts.sens import JPEG, PNG, RAW, RAW_USHORT, ZLIB_USHORT, Stream
+from helpers.lenses import moved
 from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.errors import TFLabError

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-import small_shards
-from small_shards import SETTINGS, sampler
+from helpers import small_shards
+from helpers.small_shards import SETTINGS, sampler
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardStream
 from tf_lab.errors import TFLabError

@@ -16,14 +16,14 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-import small_shards
-from small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, same, sampler
+from helpers import small_shards
+from helpers.small_shards import COUNT, FAR, NEAR, SEED, SETTINGS, same, sampler
 from tf_lab.data.chunk_sampler import ChunkStream
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
 from tf_lab.data.shard_stream import ShardSource, ShardStream
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.module import OptimizerSettings, Training
 
@@ -133,7 +133,7 @@ def test_in_order_they_are_the_folders_batches(write: Write, box_scene: Path) ->
 def first_loss(chunks: ChunkSource, workers: int, network: Network, folder: Path) -> float:
     """Of the first step of a training."""
     optimizer = OptimizerSettings(1e-3, (0.9, 0.999), 1e-8, 0.0, "cosine", 1, 10, 1.0, 1.0)
-    module = Training(network.train(), optimizer, 0.5, CaptureSettings())
+    module = Training(network.train(), optimizer, 0.5, ReconstructionSettings())
     trainer = L.Trainer(
         **{"max_steps": 1, "accelerator": "cpu", "devices": 1, "limit_val_batches": 0},
         **{"logger": False, "enable_checkpointing": False, "enable_progress_bar": False},

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from small_shards import COUNT, SEED, SETTINGS, run_here, sampler, write
+from helpers.small_shards import COUNT, SEED, SETTINGS, run_here, sampler, write
 from tf_lab.data import shards
 from tf_lab.data.scene import Scene
 from tf_lab.data.shard_set import open_shards
@@ -100,7 +100,7 @@ KILLED = """
 import sys
 from pathlib import Path
 from tf_lab.data.chunk_sampler import ChunkSampler
-from tf_lab.data.chunks import ChunkSettings
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.shards import write_shards
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import lenses
+from helpers import lenses
 from tf_lab.data.readers import open_capture, transforms
-from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import SourceCapture
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (40, 30)

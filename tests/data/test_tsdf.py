@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,18 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-import box_room
+from helpers import box_room
+from helpers.depth_views import (
+    DOWN,
+    FAR,
+    SIZE,
+    TRUNCATION,
+    K,
+    corridor,
+    look_from,
+    plane_depth,
+    rays,
+)
 from tf_lab.data.tsdf import (
     BYTES,
     TSDF,
@@ -25,30 +35,6 @@ from tf_lab.data.tsdf import (
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
 
-SIZE = (120, 90)
-K = torch.tensor([[100.0, 0, 59.5], [0, 100.0, 44.5], [0, 0, 1]])
-TRUNCATION, FAR = 0.12, 6.0
-
-
-def look_from(eye: tuple[float, float, float], target: tuple[float, float, float]) -> Tensor:
-    delta = np.subtract(target, eye)
-    yaw, pitch = math.atan2(delta[1], delta[0]), math.atan2(delta[2], math.hypot(*delta[:2]))
-    return torch.from_numpy(box_room.look(np.array(eye), yaw, pitch)).float()
-
-
-def rays(pose: Tensor) -> Tensor:
-    """World directions [h, w, 3] of the pixels, of camera z 1."""
-    v, u = np.indices((SIZE[1], SIZE[0]))
-    camera = np.stack([(u - 59.5) / 100, (v - 44.5) / 100, np.ones(u.shape)], -1)
-    return torch.from_numpy(camera).float() @ pose[:3, :3].T
-
-
-def plane_depth(pose: Tensor, height: float = 0.0) -> Tensor:
-    """Depth of the plane z = height seen from above; 0 where it isn't hit."""
-    z = rays(pose)[..., 2]
-    depth = (height - pose[2, 3]) / z
-    return torch.where((z < -1e-6) & (depth < 20), depth, 0.0)
-
 
 def ball_depth(pose: Tensor, center: Tensor, radius: float) -> Tensor:
     r, offset = rays(pose), pose[:3, 3] - center
@@ -61,8 +47,6 @@ def one_view(depth: Tensor, pose: Tensor, grid: VoxelGrid, far: float = FAR) -> 
     return fuse([depth], K[None], pose[None], grid, TRUNCATION, far)
 
 
-# a camera 1.5 m above the plane z = 0 that looks straight down
-DOWN = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1.5], [0, 0, 0, 1]])
 GRID = VoxelGrid((-0.4, -0.3, -0.4), 0.04, (20, 15, 30))  # to z = 0.8; centres at +-0.02
 
 
@@ -227,17 +211,6 @@ def test_bounds() -> None:
         bounds_of(depths[1:], K[None], DOWN[None], 0.1)
 
 
-def corridor(length: float, voxel: float) -> tuple[list[Tensor], Tensor, Tensor, VoxelGrid]:
-    """Frames of cameras that look down along a floor of the given length (metres)."""
-    eyes = np.arange(0.4, length, 0.5)
-    poses = DOWN.repeat(len(eyes), 1, 1)
-    poses[:, 0, 3] = torch.from_numpy(eyes).float()
-    poses[::2, :3, :3] = look_from((0, 0, 1.5), (0.7, 0.2, 0))[:3, :3]
-    depths = [plane_depth(pose) for pose in poses]
-    grid = VoxelGrid.covering((-0.2, -1, -0.2), (length, 1, 1.8), voxel)
-    return depths, K.expand(len(poses), 3, 3), poses, grid
-
-
 @pytest.mark.parametrize("rows", [1, 7, 1000])
 def test_slabs_equal_the_whole(rows: int) -> None:
     depths, k, poses, grid = corridor(3.0, 0.05)
@@ -257,8 +230,8 @@ def test_slabs_equal_the_whole(rows: int) -> None:
 
 MEASURE = """
 import resource, sys, torch
-sys.path.insert(0, {tests!r})
-from data.test_tsdf import FAR, TRUNCATION, corridor
+sys.path[:] = {path!r}
+from helpers.depth_views import FAR, TRUNCATION, corridor
 from tf_lab.data.tsdf import fuse_in_slabs
 torch.set_num_threads(1)
 depths, k, poses, grid = corridor({length}, 0.02)
@@ -275,8 +248,7 @@ def test_memory_stays_within_the_budget_on_a_larger_scene() -> None:
     """Eight times the volume: the budget bounds both."""
     memory, found = 64 * 2**20, []
     for length in (3.6, 28.8):
-        tests = str(Path(__file__).parents[1])
-        code = MEASURE.format(tests=tests, length=length, memory=memory)
+        code = MEASURE.format(path=sys.path, length=length, memory=memory)
         command = [sys.executable, "-c", code]
         output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         found.append([int(word) for word in output.split()])

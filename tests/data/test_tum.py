@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.readers import open_capture
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (16, 12)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from layouts.video import held_upright, write_video
+from helpers.layouts.video import held_upright, write_video
 from tf_lab.data.readers import open_capture, video
 from tf_lab.data.readers.frames_of_video import Video
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 SIZE = (48, 32)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-import box_room
+from helpers import box_room
 from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.data.visibility import measure_visibility, scene_visibility, views_per_point
 

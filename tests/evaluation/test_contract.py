@@ -35,20 +35,20 @@ class WeightsSettings:
     within: float = setting(0.02, "metres", shapes="weights")
 
 
-def near(found: Comparison, settings: NearSettings) -> float:
-    return float((found.to_prediction < settings.within).mean())
+def near(found: Comparison, within: float) -> float:
+    return float((found.to_prediction < within).mean())
 
 
-def nan(found: Comparison, settings: NearSettings) -> float:
-    return near(found, settings) if found.faces is not None else float("nan")
+def nan(found: Comparison, within: float) -> float:
+    return near(found, within) if found.faces is not None else float("nan")
 
 
-def high(found: Comparison, settings: NearSettings) -> float:
-    return near(found, settings) + float(found.truth[:, 2].mean())
+def high(found: Comparison, within: float) -> float:
+    return near(found, within) + float(found.truth[:, 2].mean())
 
 
-def greedy(found: Comparison, settings: NearSettings) -> float:
-    result = near(found, settings)
+def greedy(found: Comparison, within: float) -> float:
+    result = near(found, within)
     found.visible[:] = True
     return result
 
@@ -56,8 +56,8 @@ def greedy(found: Comparison, settings: NearSettings) -> float:
 drawn = np.random.default_rng(0)
 
 
-def moody(found: Comparison, settings: NearSettings) -> float:
-    return near(found, settings) + float(drawn.random())
+def moody(found: Comparison, within: float) -> float:
+    return near(found, within) + float(drawn.random())
 
 
 def part_of(function: object, **others: object) -> MetricPart:

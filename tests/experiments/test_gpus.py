@@ -1,6 +1,5 @@
 """A GPU for each job, without one: torch is told how many there are."""
 
-import os
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -13,8 +12,8 @@ from tf_lab.experiments import gpus
 HOLD = """
 import sys, time
 from pathlib import Path
-from tf_lab.experiments.gpus import taken
-with taken(["0", "1"], Path(sys.argv[1])) as gpu:
+from tf_lab.experiments.gpus import reserved
+with reserved(["0", "1"], Path(sys.argv[1])) as gpu:
     print(gpu, flush=True)
     time.sleep(60)
 """
@@ -30,14 +29,14 @@ def three(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_each_job_takes_what_no_other_holds(tmp_path: Path) -> None:
     names = ["3", "MIG-GPU-8/1/0"]
     with ExitStack() as first, ExitStack() as second, ExitStack() as more:
-        assert first.enter_context(gpus.taken(names, tmp_path)) == names[0]
-        assert second.enter_context(gpus.taken(names, tmp_path)) == names[1]
-        shared = [more.enter_context(gpus.taken(names, tmp_path)) for _ in range(4)]
+        assert first.enter_context(gpus.reserved(names, tmp_path)) == names[0]
+        assert second.enter_context(gpus.reserved(names, tmp_path)) == names[1]
+        shared = [more.enter_context(gpus.reserved(names, tmp_path)) for _ in range(4)]
         assert shared == names * 2  # as evenly as can be
         second.close()
-        with gpus.taken(names, tmp_path) as gpu:
+        with gpus.reserved(names, tmp_path) as gpu:
             assert gpu == names[1]
-    with gpus.taken(names, tmp_path) as gpu:
+    with gpus.reserved(names, tmp_path) as gpu:
         assert gpu == names[0]
 
 
@@ -46,10 +45,10 @@ def test_a_job_that_was_killed_holds_none(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "0\n"
-        with gpus.taken(["0", "1"], tmp_path) as gpu:
+        with gpus.reserved(["0", "1"], tmp_path) as gpu:
             assert gpu == "1"
         process.kill()
-    with gpus.taken(["0", "1"], tmp_path) as gpu:
+    with gpus.reserved(["0", "1"], tmp_path) as gpu:
         assert gpu == "0"
 
 
@@ -68,9 +67,8 @@ def test_the_names_are_cudas(
     if given is not None:
         monkeypatch.setenv(gpus.VISIBLE, given)
     assert gpus.visible() == names
-    with gpus.one_gpu():
-        assert os.environ[gpus.VISIBLE] == names[0]
-    assert os.environ.get(gpus.VISIBLE) == given
+    with gpus.one_gpu() as variables:
+        assert variables == {gpus.VISIBLE: names[0]}
 
 
 @pytest.mark.usefixtures("three")
@@ -79,6 +77,6 @@ def test_of_one_there_is_no_choice(
     count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("torch.cuda.device_count", lambda: count)
-    with gpus.one_gpu():
-        assert gpus.VISIBLE not in os.environ
+    with gpus.one_gpu() as variables:
+        assert variables == {}
     assert list(tmp_path.iterdir()) == []

@@ -1,18 +1,19 @@
 """Which settings make a new training, which only a new evaluation, and what a row is called."""
 
-import copy
 from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.compose import compose_config
+from tf_lab.config.schema import TrainConfig
+from tf_lab.config.stored import portable_config, read_config, upgraded, write_config
+from tf_lab.config.typed import typed
 from tf_lab.experiments.identity import (
     evaluation_identity,
     key_of,
-    portable,
     row_label,
     run_directory,
     training_directory,
@@ -25,7 +26,8 @@ TEST_TIME = (
     *("data.test_size", "data.test_frames", "online.precision"),
 )
 NEITHER = (
-    *("data.root", "data.workers", "data.val_size", "logger.kind", "output"),
+    *("data.root", "data.workers", "data.val_size", "output", "launcher"),
+    *("logger.kind", "logger.project", "logger.offline"),
     *("trainer.workers", "trainer.accelerator", "trainer.compile"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),
@@ -33,38 +35,45 @@ NEITHER = (
 )
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return plain(compose("train", overrides=list(overrides)))
+def composed(*overrides: str) -> TrainConfig:
+    return compose_config("train", *overrides)
 
 
 DEFAULT = composed()
 
 
 def leaves(config: dict[str, Any], prefix: str = "") -> Iterator[str]:
-    """The dotted names of all settings."""
+    """The dotted names of all settings that a user can give."""
     for key, value in config.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             yield from leaves(value, f"{prefix}{key}.")
-        else:
+        elif not prefix.startswith("content"):
             yield f"{prefix}{key}"
 
 
-def changed(name: str) -> dict[str, Any]:
-    """The default config with one setting changed."""
-    config = copy.deepcopy(DEFAULT)
-    *path, last = name.split(".")
-    part = config
-    for key in path:
-        part = part[key]
-    value = part[last]
-    if isinstance(value, bool):
-        part[last] = not value
-    elif isinstance(value, list):
-        part[last] = value[:-1]
+def changed(name: str, settings: Any = DEFAULT) -> Any:
+    """Settings with one of them changed."""
+    first, _, rest = name.partition(".")
+    value = settings[first] if isinstance(settings, dict) else getattr(settings, first)
+    if rest:
+        new = changed(rest, value)
+    elif isinstance(value, bool):
+        new = not value
+    elif isinstance(value, tuple | list):
+        new = value[:-1]
+    elif isinstance(value, dict):
+        new = {**value, "more": 1}
     else:
-        part[last] = f"{value}0" if isinstance(value, str) else (value or 0) + 1
-    return config
+        new = f"{value}0" if isinstance(value, str) else (value or 0) + 1
+    if isinstance(settings, dict):
+        return {**settings, first: new}
+    made = replace(settings)
+    object.__setattr__(made, first, new)  # whatever it may be, unchecked
+    return made
+
+
+def with_content(config: TrainConfig, **content: Any) -> TrainConfig:
+    return replace(config, content=replace(config.content, **content))
 
 
 # the rows of the paper's tables and ours beyond them, by their names on the command line
@@ -85,7 +94,7 @@ ROWS = {
 }
 
 
-def keys(config: dict[str, Any]) -> tuple[str, str]:
+def keys(config: TrainConfig) -> tuple[str, str]:
     return key_of(training_identity(config)), key_of(evaluation_identity(config))
 
 
@@ -95,10 +104,10 @@ def test_the_same_settings_give_the_same_key() -> None:
 
 
 def test_the_lists_name_settings_that_exist() -> None:
-    assert {*TEST_TIME, *NEITHER} <= set(leaves(DEFAULT))
+    assert {*TEST_TIME, *NEITHER} <= set(leaves(asdict(DEFAULT)))
 
 
-@pytest.mark.parametrize("name", sorted({*leaves(DEFAULT)} - {*TEST_TIME, *NEITHER}))
+@pytest.mark.parametrize("name", sorted({*leaves(asdict(DEFAULT))} - {*TEST_TIME, *NEITHER}))
 def test_what_shapes_the_weights_makes_a_new_training(name: str) -> None:
     config = changed(name)
     assert keys(config)[0] != keys(DEFAULT)[0]
@@ -111,7 +120,8 @@ def test_what_shapes_the_test_makes_a_new_evaluation_of_the_same_training(name: 
     config = changed(name)
     assert training_directory(config) == training_directory(DEFAULT)
     assert keys(config)[1] != keys(DEFAULT)[1]
-    assert run_directory(config) != run_directory(DEFAULT)
+    if name != "select.policy":  # there is no policy of the changed name
+        assert run_directory(config) != run_directory(DEFAULT)
 
 
 @pytest.mark.parametrize("name", NEITHER)
@@ -128,24 +138,37 @@ def test_options_change_the_keys_as_their_settings_do() -> None:
 
 
 def test_whatever_changes_the_batch_makes_a_new_training() -> None:
-    for option in ("trainer.devices=2", "+trainer.accumulate_grad_batches=2"):
+    for option in ("trainer.devices=2", "+trainer.others.accumulate_grad_batches=2"):
         assert keys(composed(option))[0] != keys(DEFAULT)[0], option
 
 
 def test_a_run_of_before_rules_can_still_be_read() -> None:
-    old = copy.deepcopy(DEFAULT)
-    del old["training"]["rules"], old["training"]["seen_by"]
+    old = asdict(DEFAULT)
+    del old["training"]["rules"], old["training"]["seen_by"], old["content"]
     old["training"]["ranked"] = 0.5
-    assert keys(old)[0] != keys(DEFAULT)[0]  # it kept other views
-    assert row_label(old) == "Ours"
+    config = typed(TrainConfig, upgraded(old))
+    assert config.training.rules == {"attention": 0.5, "random": 0.5}
+    assert config.training.seen_by == config.training.images
+    assert row_label(config) == "Ours"
 
 
 def test_a_training_of_before_matching_is_found_again() -> None:
-    old = copy.deepcopy(DEFAULT)
-    del old["inputs"]["matching"]
-    assert keys(old) == keys(DEFAULT)
-    assert row_label(old) == "Ours"
-    assert training_directory(old) == training_directory(DEFAULT)
+    old = asdict(DEFAULT)
+    del old["inputs"]["matching"], old["encoder"]["name"]
+    config = typed(TrainConfig, upgraded(old))
+    assert keys(config) == keys(DEFAULT)
+    assert training_directory(config) == training_directory(DEFAULT)
+
+
+@pytest.mark.parametrize("portable", [False, True])
+def test_what_is_written_is_read_again(portable: bool, tmp_path: Path) -> None:
+    config = with_content(composed("row=views4_rnd", "output=a"), train="x", scenes={"test": {}})
+    write_config(config, tmp_path / "config.yaml", portable)
+    again = read_config(tmp_path / "config.yaml")
+    assert keys(again) == keys(config)
+    assert row_label(again) == row_label(config)
+    assert (again.output == "a") != portable
+    assert again.content.scenes == {}  # of which there may be thousands
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -155,32 +178,33 @@ def test_a_row_is_its_settings_whatever_it_is_called(row: str) -> None:
 
 def test_shards_are_known_by_what_is_in_them() -> None:
     here, there, others = (
-        composed("data=shards", f"data.urls={place}", f"data.identity={identity}")
-        for place, identity in (("a", "x1"), ("b", "x1"), ("a", "x2"))
+        with_content(composed("data=shards", f"data.urls={place}"), shards=digest)
+        for place, digest in (("a", "x1"), ("b", "x1"), ("a", "x2"))
     )
     assert keys(here) == keys(there)
     assert keys(here)[0] != keys(others)[0]
-    assert keys(here)[0] != keys(composed("data=shards", "data.urls=a", "data.shuffle=false"))[0]
-    assert "urls" not in portable(here)["data"]
+    shuffled = composed("data=shards", "data.urls=a", "data.shuffle=false")
+    assert keys(here)[0] != keys(with_content(shuffled, shards="x1"))[0]
+    assert "urls" not in portable_config(here)["data"]
 
 
 @pytest.mark.parametrize("of", ["train", "init", "encoder"])
 def test_what_lies_in_files_is_known_by_its_content(of: str) -> None:
     here, there, others = (
-        composed(f"init={place}", f"encoder.weights={place}") | {"digests": {of: digest}}
+        with_content(composed(f"init={place}", f"encoder.weights={place}"), **{of: digest})
         for place, digest in (("a", "x1"), ("b", "x1"), ("a", "x2"))
     )
     if of == "encoder":
         assert keys(here) == keys(there)
     assert keys(here)[0] != keys(others)[0]
     assert keys(here)[1] == keys(others)[1]
-    assert "init" not in portable(here)
+    assert "init" not in portable_config(here)
 
 
 def test_test_scenes_are_known_by_their_content() -> None:
     data = ("data=captures", "data.root=here")
     here, there, others = (
-        composed(*data, f"data.test={names}") | {"digests": {"test": digest}}
+        with_content(composed(*data, f"data.test={names}"), test=digest)
         for names, digest in (("[a]", "x1"), ("list.txt", "x1"), ("[a]", "x2"))
     )
     assert keys(here) == keys(there)
@@ -218,8 +242,9 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         # ours, not the paper's
         ("inputs=matching", "Ours: + matching"),
         ("encoder=efficientnet_lite0", "Ours: efficientnet_lite0 encoder"),
-        ("select=diverse views=4", "Ours: 4 images, diverse"),
-        ("select=diverse", "Ours: 16 images, diverse"),
+        ("select=diverse views=4", "Ours: 4 images, diverse (ours)"),
+        ("select=diverse select.spread=0.5", "Ours: 16 images, diverse (ours) spread=0.5"),
+        ("select=diverse", "Ours: 16 images, diverse (ours)"),
         # a combination that the paper does not have names both
         ("refine=false views=4", "Ours: w/o spatial ref., 4 images"),
     ],

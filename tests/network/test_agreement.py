@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from network.test_network import toy
+from helpers.toy_views import toy
 from tf_lab.network.agreement import FEW, Agreement
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.views.batch import BatchSelection

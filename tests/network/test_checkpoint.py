@@ -12,7 +12,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import VoxelGrid
 from tf_lab.network.checkpoint import (
     load_network,
@@ -21,6 +23,7 @@ from tf_lab.network.checkpoint import (
     shipped_encoder,
 )
 from tf_lab.network.network import Network
+from tf_lab.online import ReconstructionSettings, Reconstructor
 
 Factory = Callable[..., Network]
 INFO = {"training": {"seed": 0, "scores": {"fscore": 0.5}, "command": "python -m tf_lab.train ü"}}
@@ -192,3 +195,23 @@ def test_where_shipped_files_lie() -> None:
         == package / "weights" / "efficientnet_lite0-encoder.safetensors"
     )
     assert shipped_encoder("small") == package / "weights" / "small-encoder.safetensors"
+
+
+def test_a_checkpoint_of_another_version_reconstructs_as_it_did(box_scene: Path) -> None:
+    """Its file was written, and these numbers found, by the code of commit 4e34998."""
+    network, info = load_network(Path(__file__).parent / "of_4e34998.safetensors")
+    assert info == {"commit": "4e34998"}
+    assert network.config.fusion == {"strategy": "transformer"}
+    scene = Scene(box_scene)
+    for select, faces, area, fscore in (
+        ("attention", 9312, 7.940000796770923, 0.07726079863221427),
+        ("random", 8587, 7.212105496807537, 0.07481974935963932),
+    ):
+        settings = ReconstructionSettings(views=4, select=select, resolution=0.05, logits="float32")
+        r = Reconstructor(network, settings)
+        for i in range(20):
+            r.add_frame(scene.image(i), scene.K[i], scene.world_T_cam[i])
+        mesh = r.mesh()
+        assert len(mesh.faces) == pytest.approx(faces, rel=1e-3)  # another CPU rounds otherwise
+        assert mesh.area == pytest.approx(area, rel=1e-3)
+        assert evaluate_scene(mesh, scene.groundtruth)["fscore"] == pytest.approx(fscore, abs=1e-3)

@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from tf_lab.network.fusion import STRATEGIES
+from tf_lab.network.fusion import FUSIONS, make_fusion
 from tf_lab.network.fusion.transformer import _attend_by_products
 
 D, K, HEADS = 16, 6, 4
-NAMES = sorted(STRATEGIES)
+NAMES = [part.name for part in FUSIONS]
 
 
 def make(name: str, width: int = D, blocks: int = 3, heads: int = HEADS) -> Any:
     torch.manual_seed(3)
-    module = STRATEGIES[name](width, blocks, heads, 2.0).eval()
+    module = make_fusion(name, width, blocks, heads, 2.0).eval()
     with torch.no_grad():  # away from the start's near-zero biases and its small fusion token
         for parameter in module.parameters():
             parameter.add_(0.3 * torch.randn_like(parameter))
@@ -190,7 +190,7 @@ def test_a_block_that_computes_some_outputs_agrees_with_all_of_them() -> None:
 @pytest.mark.parametrize("name", ["avg", "pred"])
 def test_ablations_have_the_transformers_size(name: str) -> None:
     def count(n: str) -> int:
-        return sum(p.numel() for p in STRATEGIES[n](256, 8, 4, 4.0).parameters())
+        return sum(p.numel() for p in make_fusion(n, 256, 8, 4, 4.0).parameters())
 
     assert count(name) == pytest.approx(count("transformer"), rel=0.05)
 

@@ -7,8 +7,8 @@ import torch
 
 from tf_lab.network.network import Network
 from tf_lab.network.tokens import Measurements
+from tf_lab.online.views import POLICIES, make_policy
 from tf_lab.online.views.batch import BatchSelection
-from tf_lab.online.views.selection import POLICIES, make_policy
 
 
 def example(network: Network, level: str) -> Measurements:
@@ -45,7 +45,7 @@ def test_nothing_is_dropped_without_keep(tiny_network: Callable[..., Network]) -
     assert kept is measured and slots is None
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", [policy.name for policy in POLICIES])
 def test_the_chosen_views_measurements_are_kept(
     tiny_network: Callable[..., Network], name: str
 ) -> None:

@@ -1,6 +1,5 @@
 """The network's forward pass on a toy of known geometry."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -8,41 +7,17 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from helpers.toy_views import COARSE, FINE, toy
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
-from tf_lab.network.network import LEVELS, NetworkConfig, Predictions, subgrid
+from tf_lab.network.network import LEVELS, Predictions, subgrid
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.losses import losses
 
 Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module
 
-COARSE = VoxelGrid((-0.3, -0.3, -0.3), 0.3, (7, 7, 7))
-FINE = VoxelGrid((0.0, 0.0, 0.0), 0.1, (15, 15, 15))
 SIZE = (32, 24)
 FUSIONS = ("transformer", "avg", "pred")
-
-
-def toy(batch: int = 2, views: int = 3, seed: int = 0) -> dict[str, Any]:
-    """Cameras 1.2 m from the chunk's centre that look at it, and random images."""
-    generator = torch.Generator().manual_seed(seed)
-    K = torch.tensor([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
-    poses = torch.eye(4).repeat(batch, views, 1, 1)
-    for b in range(batch):
-        for i in range(views):
-            yaw = 2 * math.pi * (i / views + 0.1 * b)
-            forward = torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
-            right = torch.tensor([math.sin(yaw), -math.cos(yaw), 0.0])
-            down = torch.tensor([0.0, 0.0, -1.0])
-            poses[b, i, :3, :3] = torch.stack([right, down, forward], dim=1)
-            poses[b, i, :3, 3] = 0.75 - 1.2 * forward
-    return {
-        "images": torch.randint(0, 256, (batch, views, 3, 24, 32), generator=generator).float(),
-        "K": K.expand(batch, views, 3, 3),
-        "world_T_cam": poses,
-        "coarse_grid": COARSE,
-        "fine_grid": FINE,
-        "points": 1.5 * torch.rand(batch, 40, 3, generator=generator),
-        "coarse_target": torch.rand(batch, 7, 7, 7, generator=generator) < 0.3,
-    }
 
 
 def sees(points: Tensor, K: Tensor, world_T_cam: Tensor, far: float = 5.0) -> Tensor:
@@ -215,7 +190,7 @@ def test_the_coarse_voxels_of_a_fine_grid(
 
 def test_configurations_that_make_no_sense() -> None:
     sizes: dict[str, Any] = dict(blocks=1, expansion=2.0, hidden=8, refine_blocks=1)
-    with pytest.raises(TFLabError, match="fusion=magic"):
+    with pytest.raises(TFLabError, match=r"fusion\.strategy=magic"):
         NetworkConfig(width=8, heads=2, fusion="magic", **sizes)
     with pytest.raises(TFLabError, match="multiple of heads=3"):
         NetworkConfig(width=8, heads=3, **sizes)

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
-from tf_lab.network.encoders import Encoder, ResNet, load_encoder_weights, read_state_dict
-from tf_lab.network.encoders.resnet import IMAGENET_URL
+from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders.resnet import IMAGENET_URL, ResNet
+from tf_lab.network.encoders.weights import load_encoder_weights, read_state_dict
 
 RESNET18: dict[str, Any] = {
     "width": 64,

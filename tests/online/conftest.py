@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from online.scenes import FAR
+from helpers.online.scenes import FAR
 from tf_lab.data.scene import Scene
 
 

@@ -5,8 +5,9 @@ import torch
 from scipy.stats import chi2
 from torch import Tensor
 
+from tf_lab.online.views import POLICIES, make_policy
 from tf_lab.online.views.batch import BatchSelection
-from tf_lab.online.views.selection import POLICIES, DiverseSelection, SelectionPolicy, make_policy
+from tf_lab.online.views.selection import DiverseSelection, SelectionPolicy
 from tf_lab.online.views.store import ViewStore
 
 P, V, H = 300, 14, 2
@@ -64,7 +65,7 @@ def test_chance_is_the_chunks_own_whatever_its_place_in_the_batch() -> None:
 
 
 @pytest.mark.parametrize(
-    "policy", [*(make_policy(name, 5) for name in POLICIES), DiverseSelection(6, spread=0.5)]
+    "policy", [*(make_policy(part.name, 5) for part in POLICIES), DiverseSelection(6, spread=0.5)]
 )
 @pytest.mark.parametrize("views", [1, 4, V, V + 3])
 def test_training_keeps_what_the_store_keeps(policy: SelectionPolicy, views: int) -> None:
@@ -78,7 +79,7 @@ def test_training_keeps_what_the_store_keeps(policy: SelectionPolicy, views: int
     assert (filled.sum(1) == valid.sum(1).clamp(max=views)).all()
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", [policy.name for policy in POLICIES])
 def test_what_invalid_views_say_does_not_matter(name: str) -> None:
     logits, valid, centers = voxels()
     select = BatchSelection(make_policy(name, 1), 4)

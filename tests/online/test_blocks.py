@@ -2,15 +2,11 @@
 
 import itertools
 
-import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from tf_lab.geometry import in_view, invert_pose, project
-from tf_lab.online.frustum import frustum_box, frustum_planes, voxels_in
 from tf_lab.online.lattice.blocks import Blocks, dilate, pack, unpack
 from tf_lab.online.lattice.table import Table
 
@@ -105,30 +101,3 @@ def test_a_table_grows_and_fills() -> None:
         table["a"][:] = torch.rand(rows, 2)
     assert table.nbytes() == 40 * 9
     assert table.nbytes("b") == 40
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_box_of_a_frustum_holds_all_that_the_camera_sees(seed: int) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    rotation, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = rotation * torch.linalg.det(rotation)
-    pose[:3, 3] = torch.randn(3, generator=generator)
-    K = torch.tensor([[40.0, 0, 31], [0, 42.0, 20], [0, 0, 1]], dtype=torch.float64)
-    low, high = frustum_box(K.numpy(), pose.numpy(), (64, 48), 0.3, 2.0)
-    ends = torch.tensor([-0.5, -0.5, 0.3]), torch.tensor([63.5, 47.5, 2.0])
-    u, v, z = (ends[0] + (ends[1] - ends[0]) * torch.rand(500, 3, generator=generator)).T.double()
-    camera = torch.stack([u * z, v * z, z], 1) @ torch.linalg.inv(K).T
-    world = camera @ pose[:3, :3].T + pose[:3, 3]
-    assert (world.amin(0) >= torch.from_numpy(low)).all()
-    assert (world.amax(0) <= torch.from_numpy(high)).all()
-    assert (world.amin(0) < torch.from_numpy(low) + 0.8).all()  # and is not much larger
-    voxels = {tuple(v) for v in voxels_in(low, high, 0.1, CPU).tolist()}
-    assert {tuple(v) for v in (world / 0.1).floor().long().tolist()} <= voxels
-    normals, distances = frustum_planes(K.numpy(), pose.numpy(), (64, 48), 0.3, 2.0)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
-    points = pose[:3, 3] + 4 * (torch.rand(3000, 3, generator=generator).double() - 0.5)
-    uv, z = project(points, K, invert_pose(pose))
-    inside = (points.numpy() @ normals.T + distances >= 0).all(1)
-    np.testing.assert_array_equal(inside, in_view(uv, z, (64, 48), 0.3, 2.0))
-    assert 0 < inside.sum() < len(inside)

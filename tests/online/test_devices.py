@@ -1,47 +1,42 @@
 """That nothing strays to another device, and how often adding a frame waits for the GPU."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from online.pretended_gpu import CUDA, PretendedGpu, on_gpu
-from online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from helpers.online.pretended_gpu import CUDA, PretendedGpu, on_gpu
+from helpers.online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
 from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.data.scene import Scene
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.reconstructor import Reconstructor
+from tf_lab.online.views import POLICIES, make_policy
 from tf_lab.online.views.batch import BatchSelection
-from tf_lab.online.views.selection import (
-    POLICIES,
-    AttentionSelection,
-    DiverseSelection,
-    RandomSelection,
-    SelectionPolicy,
-    make_policy,
-)
 
 
 @pytest.mark.parametrize(
-    ("kind", "policy", "masks"),
+    ("kind", "select", "masks"),
     [
-        (Reconstructor, AttentionSelection(), True),
-        (Reconstructor, RandomSelection(1), False),
-        (EagerReconstructor, AttentionSelection(), True),
+        (Reconstructor, {"select": "attention"}, True),
+        (Reconstructor, {"select": "random", "seed": 1}, False),
+        (EagerReconstructor, {"select": "attention"}, True),
     ],
 )
 def test_all_work_is_done_on_the_networks_device(
     tiny_network: Factory,
     scene: Scene,
     kind: type[Reconstructor],
-    policy: SelectionPolicy,
+    select: dict[str, Any],
     masks: bool,
 ) -> None:
     network = balanced(tiny_network(filter=masks), scene)
-    settings = settings_of(views=3, resolution=0.1)
-    expected = add(kind(network, settings, policy), scene).mesh()
+    settings = settings_of(views=3, resolution=0.1, **select)
+    expected = add(kind(network, settings), scene).mesh()
     with PretendedGpu():
-        r = add(kind(on_gpu(network), settings, policy), scene)
+        r = add(kind(on_gpu(network), settings), scene)
         assert r.device.type == "cuda"
         mesh = r.mesh()
         weights = r.view_weights(np.zeros((2, 3)), "coarse")[1]
@@ -49,21 +44,23 @@ def test_all_work_is_done_on_the_networks_device(
     assert weights.shape == (2, 3)
 
 
-@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(1), DiverseSelection()])
+@pytest.mark.parametrize(
+    "select", [{"select": "attention"}, {"select": "random", "seed": 1}, {"select": "diverse"}]
+)
 def test_adding_a_frame_waits_for_list_lengths_only(
-    tiny_network: Factory, scene: Scene, policy: SelectionPolicy
+    tiny_network: Factory, scene: Scene, select: dict[str, Any]
 ) -> None:
     """Known fine blocks, coarse voxels in view, new blocks, fine voxels in view: four lists."""
     network = balanced(tiny_network(), scene)
     with PretendedGpu() as gpu:
-        r = add(Reconstructor(on_gpu(network), settings_of(views=3), policy), scene)
+        r = add(Reconstructor(on_gpu(network), settings_of(views=3, **select)), scene)
         r.update()
         gpu.waits.clear()
         add(r, scene, FRAMES[:1])
         assert gpu.waits == {"__getitem__": 4}
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", [policy.name for policy in POLICIES])
 def test_choosing_and_comparing_views_in_training_waits_for_nothing(name: str) -> None:
     torch.manual_seed(0)
     valid, rays = torch.rand(30, 9) < 0.7, torch.randn(30, 9, 3)

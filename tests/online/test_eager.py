@@ -1,9 +1,11 @@
 """The paper's literal procedure and lazy fusion come to the same."""
 
+from typing import Any
+
 import pytest
 import torch
 
-from online.scenes import (
+from helpers.online.scenes import (
     FRAMES,
     Factory,
     add,
@@ -15,37 +17,31 @@ from online.scenes import (
 from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.data.scene import Scene
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.views.selection import (
-    AttentionSelection,
-    DiverseSelection,
-    RandomSelection,
-    SelectionPolicy,
-)
 
 
 @pytest.mark.parametrize(
-    ("policy", "views", "logits", "matching"),
+    ("select", "views", "logits", "matching"),
     [
-        (AttentionSelection(), 3, "float32", False),
-        (AttentionSelection(), 3, "float16", False),
-        (AttentionSelection(), 16, "float32", True),
-        (AttentionSelection(), 3, "float32", True),
-        (RandomSelection(4), 3, "float32", False),
-        (DiverseSelection(1, spread=0.5), 3, "float16", True),
+        ({"select": "attention"}, 3, "float32", False),
+        ({"select": "attention"}, 3, "float16", False),
+        ({"select": "attention"}, 16, "float32", True),
+        ({"select": "attention"}, 3, "float32", True),
+        ({"select": "random", "seed": 4}, 3, "float32", False),
+        ({"select": {"policy": "diverse", "spread": 0.5}, "seed": 1}, 3, "float16", True),
     ],
 )
 def test_lazy_equals_eager(
     tiny_network: Factory,
     scene: Scene,
-    policy: SelectionPolicy,
+    select: dict[str, Any],
     views: int,
     logits: str,
     matching: bool,
 ) -> None:
     network = balanced(trained_to_match(tiny_network(matching=matching)), scene)
-    settings = settings_of(views=views, logits=logits)
-    lazy = add(Reconstructor(network, settings, policy), scene)
-    eager = add(EagerReconstructor(network, settings, policy), scene)
+    settings = settings_of(views=views, logits=logits, **select)
+    lazy = add(Reconstructor(network, settings), scene)
+    eager = add(EagerReconstructor(network, settings), scene)
     a, b = lazy.mesh(color=False), eager.mesh(color=False)
 
     assert torch.equal(lazy.coarse.blocks.coords, eager.coarse.blocks.coords)

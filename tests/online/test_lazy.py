@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from online.scenes import (
+from helpers.online.scenes import (
     FRAMES,
     Factory,
     add,
@@ -20,14 +20,8 @@ from online.scenes import (
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK
-from tf_lab.network.fusion import weights_from_logits
+from tf_lab.network.fusion.weights import weights_from_logits
 from tf_lab.online import Reconstructor
-from tf_lab.online.views.selection import (
-    AttentionSelection,
-    DiverseSelection,
-    RandomSelection,
-    SelectionPolicy,
-)
 
 FIRST = (0, 0, 0)
 REGION = ([0.2, 0.3, 0.1], [1.2, 1.1, 1.3])  # within one chunk
@@ -107,16 +101,16 @@ def test_nothing_is_computed_twice(tiny_network: Factory, scene: Scene) -> None:
     assert count["coarse"] - before["coarse"] == changed
 
 
-@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(2)])
+@pytest.mark.parametrize("select", [{"select": "attention"}, {"select": "random", "seed": 2}])
 @pytest.mark.parametrize(("masks", "matching"), [(True, False), (False, False), (True, True)])
 def test_meshing_in_between_changes_nothing(
-    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, masks: bool, matching: bool
+    tiny_network: Factory, scene: Scene, select: dict[str, Any], masks: bool, matching: bool
 ) -> None:
     """Dirty chunks only, regions in any order, frames in between: the same as all at once."""
     network = tiny_network(filter=masks, matching=matching)
     network = balanced(trained_to_match(network), scene)
-    expected = reconstruct(network, scene, policy=policy, views=2)
-    often = Reconstructor(network, settings_of(views=2), policy)
+    expected = reconstruct(network, scene, **select, views=2)
+    often = Reconstructor(network, settings_of(views=2, **select))
     rng = np.random.default_rng(0)
     for frame in FRAMES:
         add(often, scene, [frame])
@@ -198,7 +192,7 @@ def test_compiled_networks_give_the_same_mesh(tiny_network: Factory, scene: Scen
 
 def test_view_weights(tiny_network: Factory, scene: Scene) -> None:
     network = trained_to_match(tiny_network(matching=True))
-    r = reconstruct(network, scene, views=4, policy=RandomSelection(0))
+    r = reconstruct(network, scene, views=4, select="random", seed=0)
     points = np.random.default_rng(0).uniform([-1.2, -1.2, 0], [1.2, 1.2, 2.4], (40, 3))
     frames, weights = r.view_weights(points, "coarse")
     held = frames >= 0
@@ -216,19 +210,22 @@ def test_view_weights(tiny_network: Factory, scene: Scene) -> None:
     assert (nowhere[1] == 0).all()
 
 
-@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(5), DiverseSelection(6)])
+@pytest.mark.parametrize(
+    "select",
+    [{"select": "attention"}, {"select": "random", "seed": 5}, {"select": "diverse", "seed": 6}],
+)
 def test_save_and_go_on(
-    tiny_network: Factory, scene: Scene, tmp_path: Path, policy: SelectionPolicy
+    tiny_network: Factory, scene: Scene, tmp_path: Path, select: dict[str, Any]
 ) -> None:
     network = balanced(tiny_network(), scene)
-    expected = reconstruct(network, scene, policy=policy, views=3)
-    half = reconstruct(network, scene, FRAMES[:3], policy=policy, views=3)
+    expected = reconstruct(network, scene, **select, views=3)
+    half = reconstruct(network, scene, FRAMES[:3], **select, views=3)
     half.mesh()
     path = tmp_path / "half.safetensors"
     half.save(path)
     r = add(Reconstructor.load(path, network), scene, FRAMES[3:])
     assert r.settings == half.settings
-    assert (r.policy.name, r.policy.seed) == (policy.name, policy.seed)
+    assert r.policy == half.policy
     assert_same_surface(r.mesh(), expected.mesh())
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     with pytest.raises(TFLabError, match="another network"):

@@ -6,10 +6,10 @@ import torch
 import trimesh
 from torch import Tensor
 
-from online.dense import crossing_voxels, extract
+from helpers.online.dense import crossing_voxels, extract
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
-from tf_lab.online.mesher import color_vertices
+from tf_lab.meshes.colors import color_vertices
 
 CENTER, RADIUS = torch.tensor([0.52, 0.61, 0.47]), 0.3
 GRID = VoxelGrid((0.0, 0.0, 0.0), 0.1, (11, 12, 10))

@@ -9,13 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from online.dense import embed
-from online.scenes import Factory, assert_same_surface, balanced, reconstruct, settings_of
+from helpers.online.dense import embed
+from helpers.online.scenes import Factory, assert_same_surface, balanced, reconstruct, settings_of
 from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.online import Reconstructor
-from tf_lab.online.captures import CaptureSettings
 from tf_lab.online.captures import reconstruct as reconstruct_capture
 from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
 from tf_lab.online.views.store import ViewStore
@@ -121,7 +120,7 @@ class Damaged:
 @torch.inference_mode()
 def test_a_corrupt_image_changes_nothing_but_the_count(tiny_network: Factory, scene: Scene) -> None:
     network = balanced(tiny_network(), scene)
-    every = CaptureSettings(settings_of(views=3), keyframe_distance=0)
+    every = settings_of(views=3, keyframe_distance=0)
     broken = 9
     damaged: Any = Damaged(scene, broken)
     found = reconstruct_capture(network, damaged, every)

@@ -8,9 +8,9 @@ import torch
 import trimesh
 from torch import Tensor
 
-import box_room
-from online.dense import DenseReconstructor, embed
-from online.scenes import (
+from helpers import box_room
+from helpers.online.dense import DenseReconstructor, embed
+from helpers.online.scenes import (
     FRAMES,
     Factory,
     assert_close_surface,
@@ -29,9 +29,7 @@ from tf_lab.geometry import VoxelGrid
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views.selection import (
     AttentionSelection,
-    DiverseSelection,
     RandomSelection,
-    SelectionPolicy,
 )
 
 
@@ -120,8 +118,8 @@ def test_with_enough_slots_a_voxel_keeps_exactly_the_frames_that_see_it(
     grid = dense_grid(scene)
     points = grid.centers().double().numpy().reshape(-1, 3)
     margin = np.stack([clearance(points, scene, f) for f in FRAMES], 1)
-    for policy in (AttentionSelection(), RandomSelection()):
-        r = reconstruct(tiny_network(), scene, policy=policy, views=len(FRAMES))
+    for select in ({"select": "attention"}, {"select": "random"}):
+        r = reconstruct(tiny_network(), scene, **select, views=len(FRAMES))
         held = np.zeros(margin.shape, bool)
         frames = on_grid(r.coarse, r.coarse.store.frames + 1, grid).flatten(0, 2) - 1
         for voxel, some in enumerate(frames.tolist()):
@@ -165,7 +163,7 @@ def test_test_time_computes_what_training_computes(
     middle = logits.flatten().sort().values[logits.numel() // 2 :][:2].mean()
     head.bias.sub_(middle)  # half of the voxels are near, none by a rounding error
     trained = network(*batch, coarse_grid, fine_grid, points[None], None)
-    r = DenseReconstructor(network, coarse_grid, ReconstructionSettings(), AttentionSelection())
+    r = DenseReconstructor(network, coarse_grid, ReconstructionSettings())
     for image, k, pose in zip(images, K, poses, strict=True):
         r.add_frame(image.numpy(), k.numpy(), pose.numpy())
     v = r.volumes()
@@ -176,21 +174,21 @@ def test_test_time_computes_what_training_computes(
 
 
 @pytest.mark.parametrize(
-    ("policy", "changes"),
+    ("select", "changes"),
     [
-        (AttentionSelection(), {}),
-        (RandomSelection(3), {"refine": False}),
-        (RandomSelection(1), {"filter": False}),
-        (DiverseSelection(2, spread=0.5), {"matching": True}),
+        ({"select": "attention"}, {}),
+        ({"select": "random", "seed": 3}, {"refine": False}),
+        ({"select": "random", "seed": 1}, {"filter": False}),
+        ({"select": {"policy": "diverse", "spread": 0.5}, "seed": 2}, {"matching": True}),
     ],
 )
 def test_sparse_equals_dense(
-    tiny_network: Factory, scene: Scene, policy: SelectionPolicy, changes: dict[str, bool]
+    tiny_network: Factory, scene: Scene, select: dict[str, Any], changes: dict[str, bool]
 ) -> None:
     """The same view sets and mesh as dense volumes, dense convolutions, one marching cubes."""
     network = balanced(trained_to_match(tiny_network(**changes)), scene)
-    r = reconstruct(network, scene, policy=policy, views=3)
-    reference = dense(network, scene, policy=policy, views=3)
+    r = reconstruct(network, scene, **select, views=3)
+    reference = dense(network, scene, **select, views=3)
     mesh, expected = r.mesh(), reference.mesh()
     grid = reference.grid
     frames = on_grid(r.coarse, r.coarse.store.frames + 1, grid) - 1
@@ -231,15 +229,15 @@ def assert_same_mesh(a: trimesh.Trimesh, b: trimesh.Trimesh) -> None:
     assert (np.abs(colors_of(a) - colors_of(b)) > 1).mean() < 1e-3  # what hides what may be close
 
 
-@pytest.mark.parametrize("policy", [AttentionSelection(), RandomSelection(3)])
+@pytest.mark.parametrize("select", [{"select": "attention"}, {"select": "random", "seed": 3}])
 def test_neither_batches_nor_earlier_meshes_change_the_result(
-    tiny_network: Factory, scene: Scene, policy: SelectionPolicy
+    tiny_network: Factory, scene: Scene, select: dict[str, Any]
 ) -> None:
     network = balanced(tiny_network(), scene)
-    expected = reconstruct(network, scene, policy=policy, views=3).mesh()
-    small = reconstruct(network, scene, policy=policy, views=3, batch=97).mesh()
+    expected = reconstruct(network, scene, **select, views=3).mesh()
+    small = reconstruct(network, scene, **select, views=3, batch=97).mesh()
     assert_same_mesh(expected, small)
-    eager = reconstruct(network, scene, FRAMES[:3], policy=policy, views=3)
+    eager = reconstruct(network, scene, FRAMES[:3], **select, views=3)
     for i in FRAMES[3:]:
         eager.mesh()
         eager.add_frame(scene.image(i), scene.K[i], scene.world_T_cam[i])
@@ -260,7 +258,7 @@ def test_with_enough_slots_the_order_of_frames_does_not_matter(
 
 def test_seeds_give_different_views(tiny_network: Factory, scene: Scene) -> None:
     held = [
-        reconstruct(tiny_network(), scene, policy=RandomSelection(seed), views=2).coarse.store
+        reconstruct(tiny_network(), scene, select="random", seed=seed, views=2).coarse.store
         for seed in (1, 2)
     ]
     assert not torch.equal(held[0].frames, held[1].frames)
@@ -295,8 +293,8 @@ def test_a_strategy_without_preference_gets_random_views(
     tiny_network: Factory, scene: Scene
 ) -> None:
     network = balanced(tiny_network(fusion="avg"), scene)
-    r = reconstruct(network, scene, policy=AttentionSelection(), views=2)
-    assert isinstance(r.policy, RandomSelection)
+    r = reconstruct(network, scene, select="attention", seed=3, views=2)
+    assert r.policy == RandomSelection(3)  # of the run's own seed
     assert r.coarse.store.seen.max() > 2
     assert len(r.mesh().faces) > 0
     for fusion in ("transformer", "pred"):

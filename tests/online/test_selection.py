@@ -11,13 +11,13 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
+from tf_lab.online.views import make_policy
 from tf_lab.online.views.selection import (
     AttentionSelection,
     Candidates,
     DiverseSelection,
     RandomSelection,
     angle_to_nearest,
-    make_policy,
     slots,
     uniform,
 )

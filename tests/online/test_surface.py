@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from online.dense import extract
-from online.scenes import Factory, assert_same_surface, surface_of
+from helpers.online.dense import extract
+from helpers.online.scenes import Factory, assert_same_surface, surface_of
 from tf_lab.geometry import VoxelGrid
 
 CENTER, RADIUS = torch.tensor([0.12, -0.21, 1.57]), 1.1  # in eight chunks

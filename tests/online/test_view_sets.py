@@ -5,11 +5,10 @@ import pytest
 import torch
 from torch import Tensor
 
-import box_room
-from online.scenes import FRAMES, Factory, reconstruct
+from helpers import box_room
+from helpers.online.scenes import FRAMES, Factory, reconstruct
 from tf_lab.data.scene import Scene
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.views.selection import AttentionSelection, RandomSelection
 from tf_lab.online.views.statistics import view_sets
 
 DEPTHS = [box_room.depth_image(box_room.poses()[i]).astype(np.float32) for i in FRAMES]
@@ -34,7 +33,7 @@ def hidden(r: Reconstructor, row: int, frame: int, margin: float) -> bool:
 
 
 def test_all_views_held_are_as_visible_as_all_views(tiny_network: Factory, scene: Scene) -> None:
-    r = reconstruct(tiny_network(), scene, views=len(FRAMES), policy=RandomSelection())
+    r = reconstruct(tiny_network(), scene, views=len(FRAMES), select="random")
     found = view_sets(r.coarse, near_the_box(r), DEPTHS)
     assert found.voxels > 20
     assert found.visible == found.visible_of_all
@@ -45,7 +44,7 @@ def test_what_is_behind_the_box_is_hidden_and_nothing_else(
     tiny_network: Factory, scene: Scene
 ) -> None:
     """One view a voxel, by a ray marched from the camera; 8 cm is what a pixel may miss."""
-    r = reconstruct(tiny_network(), scene, views=1, policy=RandomSelection(1))
+    r = reconstruct(tiny_network(), scene, views=1, select="random", seed=1)
     points = r.coarse.points(torch.arange(r.coarse.blocks.rows)).numpy()
     inside = ((points > box_room.ROOM[0]) & (points < box_room.ROOM[1])).all(1)
     count = {True: 0, False: 0}
@@ -64,7 +63,7 @@ def test_what_is_behind_the_box_is_hidden_and_nothing_else(
 
 
 def test_spread_and_variety_by_hand(tiny_network: Factory, scene: Scene) -> None:
-    r = reconstruct(tiny_network(), scene, views=2, policy=AttentionSelection())
+    r = reconstruct(tiny_network(), scene, views=2, select="attention")
     level, rows = r.coarse, near_the_box(r)
     found = view_sets(level, rows, DEPTHS)
     angles, counts = [], []
@@ -96,10 +95,8 @@ def test_unknown_depth_counts_neither_way(tiny_network: Factory, scene: Scene) -
 def test_random_sets_vary_more_between_neighbours(tiny_network: Factory, scene: Scene) -> None:
     network = tiny_network()
     by = {
-        policy.name: view_sets(
-            r.coarse, (r.coarse.store.seen > 3).nonzero().squeeze(1), DEPTHS
-        ).variety
-        for policy in (AttentionSelection(), RandomSelection())
-        for r in [reconstruct(network, scene, views=2, policy=policy)]
+        select: view_sets(r.coarse, (r.coarse.store.seen > 3).nonzero().squeeze(1), DEPTHS).variety
+        for select in ("attention", "random")
+        for r in [reconstruct(network, scene, views=2, select=select)]
     }
     assert by["random"] > by["attention"]

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.axes import Axes
 from PIL import Image
 
-from made_up_runs import ROWS, change_scores, write_run, write_study
+from helpers.made_up_runs import ROWS, change_scores, write_run, write_study
 from tf_lab.reporting.charts import rows_chart, save_chart, views_chart
 from tf_lab.reporting.paper import ATTENTION, RANDOM, SCORES
 from tf_lab.reporting.studies import Study, open_study

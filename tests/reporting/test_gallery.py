@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from matplotlib.figure import Figure
 
-from made_up_runs import change_scores, write_run
+from helpers.made_up_runs import change_scores, write_run
 from tf_lab.errors import TFLabError
 from tf_lab.reporting import gallery
 from tf_lab.reporting.gallery import draw_scene, scene_runs

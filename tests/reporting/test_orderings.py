@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from made_up_runs import ROWS, write_run, write_study
+from helpers.made_up_runs import ROWS, write_run, write_study
 from tf_lab.reporting.orderings import ORDERINGS, UNDER_OURS, difference, summary, verdict
 from tf_lab.reporting.paper import ATTENTION, RANDOM, SCORES
 from tf_lab.reporting.statistics import Estimate

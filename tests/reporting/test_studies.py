@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from made_up_runs import ROWS, SCENES, write_run, write_study
+from helpers.made_up_runs import ROWS, SCENES, write_run, write_study
 from tf_lab.errors import TFLabError
 from tf_lab.reporting.studies import open_study
 

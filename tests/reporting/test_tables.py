@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from made_up_runs import ROWS, SCENES, change_scores, write_run, write_study
+from helpers.made_up_runs import ROWS, SCENES, change_scores, write_run, write_study
 from tf_lab.reporting.formats import Column, Number, Table, comma_separated, latex, markdown
 from tf_lab.reporting.paper import ABLATIONS, BASELINES, SCORES
 from tf_lab.reporting.studies import Study, open_study

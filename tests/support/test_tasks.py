@@ -7,25 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from helpers.builders import build, crash, fail
 from tf_lab.errors import TFLabError
 from tf_lab.support.tasks import SceneJob, prepare_scenes
-
-
-def build(directory: Path, content: str = "whole") -> None:
-    """Tells what was built and by which process."""
-    (directory / "first.txt").write_text(content)
-    assert directory.name.startswith(".")  # not by its final name while it is half-written
-    (directory / "process.txt").write_text(str(os.getpid()))
-
-
-def fail(directory: Path) -> None:
-    (directory / "first.txt").write_text("half")
-    raise TFLabError("frame-7.jpg: cannot be read")
-
-
-def crash(directory: Path) -> None:
-    (directory / "first.txt").write_text("half")
-    raise ValueError("a bug")
 
 
 def jobs(root: Path, names: Sequence[str]) -> list[SceneJob]:

@@ -11,7 +11,7 @@ from tf_lab.benchmarks.floor import chunk_floor, frame_floor, rates
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.memory import peak_memory, reset_peak
 from tf_lab.network.network import Network
-from tf_lab.online.settings import dtype_of
+from tf_lab.online.precision import dtype_of
 from tf_lab.support.progress import progress_bar
 
 

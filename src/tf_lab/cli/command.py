@@ -1,106 +1,108 @@
-"""What all commands share: where the configs are, how errors are shown, which machine this is."""
+"""What all commands share: where the configs are, and how errors are shown."""
 
 from __future__ import annotations
 
 import argparse
-import functools
 import logging
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, NoReturn
 
 import hydra
-import torch
 from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from tf_lab.cli import overrides, text_settings
 from tf_lab.cli.help import help_text
+from tf_lab.config.compose import conf_dir
+from tf_lab.config.schema import COMMANDS, register
+from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
+from tf_lab.experiments.launcher import check_launcher, in_sweep, run_job
+from tf_lab.support.processes import Children, end_with_parent
 
 
 class FailedJob(CompactHydraException):
     """A job of a sweep failed; Hydra ends the sweep with the message, and without a traceback."""
 
 
-def conf_dir() -> str:
-    """The directory of the shipped configs: inside an installed wheel, or beside ``src``."""
-    package = Path(__file__).resolve().parents[1]
-    for candidate in (package / "conf", package.parent.parent / "conf"):
-        if candidate.is_dir():
-            return str(candidate)
-    raise TFLabError("conf/: the configs are missing; install tf_lab again")
-
-
 def command(
-    config_name: str,
+    name: str,
+    about: str | None,
+    target: str,
+    *,
     unused: Sequence[str] = (),
-    before: Callable[[argparse.Namespace], None] = lambda words: None,
-    goes_on: bool = False,
-) -> Callable[[Callable[[DictConfig], None]], Callable[[], Any]]:
-    """`hydra.main` on the shipped configs, with every error as one line and exit status 2.
+    resumable: bool = False,
+    jobs: str = "",
+) -> Callable[[], None]:
+    """A command: Hydra composes its config, ``target`` gets it typed; every error is one line.
 
-    A traceback is printed as well if the environment has ``TF_LAB_DEBUG=1``.
+    The exit status of an error is 2; a traceback is printed as well if the environment has
+    ``TF_LAB_DEBUG=1``. What does the work is imported only when there is work to do.
 
     Args:
-        config_name: of the root config.
-        unused: settings (or groups of them) of its groups that the command does not read.
-        before: checks on the command line what Hydra would not say in one line.
-        goes_on: an interrupted command, given again, goes on where it was.
+        name: of the command, of its config and its schema.
+        about: what it does and how it is called.
+        target: the function, as ``package.module:name``; its argument is the typed config.
+        unused: settings (or groups of them) that the command does not read.
+        resumable: an interrupted command, given again, goes on where it was.
+        jobs: where the `SweepJobs` are of a command whose sweeps run each job as a process.
     """
+    about = about or ""
 
-    def decorate(function: Callable[[DictConfig], None]) -> Callable[[], Any]:
-        @functools.wraps(function)
-        def guarded(cfg: DictConfig) -> None:
-            _quieten()
-            try:
-                if not in_sweep():  # else each job does
-                    overrides.check(cfg, unused)
-                text_settings.settle(cfg)
-                function(cfg)
-            except (TFLabError, OmegaConfBaseException, OSError) as error:
-                _tell(_one_line(error, function))
-                if in_sweep():
-                    raise FailedJob("a job of the sweep failed, see above") from None
-                sys.exit(2)
-            except KeyboardInterrupt:
-                more = "; the same command goes on from here" if goes_on else ""
-                print(f"\ninterrupted{more}", file=sys.stderr)
-                sys.exit(130)
+    def composed(cfg: DictConfig) -> None:
+        try:
+            if not in_sweep():  # else each job does
+                overrides.check(unused)
+            config: Any = typed(COMMANDS[name], cfg)
+            if jobs and in_sweep():  # in a worker of Slurm or Ray
+                job = HydraConfig.get()
+                run_job(resolve_name(jobs), config, job, Children(), prefix=f"{job.job.num}: ")
+                return
+            work = resolve_name(target)
+            _quieten()  # after the import, with which libraries set themselves up
+            work(config)
+        except (TFLabError, OmegaConfBaseException, OSError) as error:
+            _tell(_one_line(error, about))
+            if in_sweep():
+                raise FailedJob("a job of the sweep failed, see above") from None
+            sys.exit(2)
 
-        wrapped = hydra.main(version_base="1.3", config_path=conf_dir(), config_name=config_name)
-        run = wrapped(guarded)
+    composed.jobs = jobs  # type: ignore[attr-defined]  # for the launcher
 
-        @functools.wraps(function)
-        def start() -> None:
-            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
-            try:
-                words = _words()
-                if words.help:
-                    about = sys.modules[function.__module__].__doc__ or ""
-                    conf = Path(conf_dir())
-                    print(help_text(conf, config_name, about, words.overrides, unused))
-                else:
-                    overrides.check_groups(words.overrides, Path(conf_dir()))
-                    before(words)
-                    run()
-            except (HydraException, OmegaConfBaseException, TFLabError) as error:
-                _tell(overrides.explain(error, Path(conf_dir()), config_name))
-                sys.exit(2)
-            except BrokenPipeError:  # whoever reads has seen enough
-                os._exit(1)
+    def main() -> None:
+        end_with_parent()
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
+        conf = conf_dir()
+        try:
+            register()
+            words = _words(COMMANDS[name])
+            if words.help:
+                print(help_text(conf, name, about, words.overrides, unused))
+            else:
+                overrides.check_groups(words.overrides, conf)
+                check_launcher(words)
+                hydra.main(version_base="1.3", config_path=str(conf), config_name=name)(composed)()
+        except (HydraException, OmegaConfBaseException, TFLabError) as error:
+            _tell(overrides.explain(error, conf, name))
+            sys.exit(2)
+        except KeyboardInterrupt:
+            more = "; the same command goes on from here" if resumable else ""
+            print(f"\ninterrupted{more}", file=sys.stderr)
+            sys.exit(130)
+        except BrokenPipeError:  # whoever reads has seen enough
+            os._exit(1)
 
-        return start
-
-    return decorate
+    return main
 
 
-def _words() -> argparse.Namespace:
+def _words(schema: type) -> argparse.Namespace:
     """The command line, from here on with its texts quoted for Hydra.
 
     Raises:
@@ -113,7 +115,8 @@ def _words() -> argparse.Namespace:
 
     parser.error = error  # type: ignore[method-assign]
     words = parser.parse_args()
-    quoted = text_settings.quote_words(words.overrides, overrides.is_sweep(words))
+    texts = text_settings.Texts.of(schema)
+    quoted = text_settings.quote_words(words.overrides, texts, overrides.is_sweep(words))
     sys.argv = [sys.argv[0], *(quoted.get(word, word) for word in sys.argv[1:])]
     return parser.parse_args()
 
@@ -125,11 +128,11 @@ def _tell(line: str) -> None:
     print(f"error: {line}", file=sys.stderr)
 
 
-def _one_line(error: Exception, function: Callable[[DictConfig], None]) -> str:
+def _one_line(error: Exception, about: str) -> str:
     """What the user of a command needs to know of an error."""
     line = str(error)
     if isinstance(error, MissingMandatoryValue):
-        lines = (sys.modules[function.__module__].__doc__ or "").splitlines()
+        lines = about.splitlines()
         usage = next((line for line in lines if line.startswith("python -m")), "")
         given = f"{error.full_key}="
         cure = f"usage: {usage}" if given in usage else f"give {given}VALUE"
@@ -152,36 +155,3 @@ def _quieten() -> None:
         ".*The dirpath has changed from .*",  # a training goes on from another's state
     ):
         warnings.filterwarnings("ignore", message=message)
-
-
-def in_sweep() -> bool:
-    """Whether this is one job of several: then an error must not end the others."""
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
-
-    return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
-
-
-def plain(cfg: Any) -> Any:
-    """A resolved config as plain dicts and lists.
-
-    Raises:
-        MissingMandatoryValue: the user has to give a value and did not.
-    """
-    return OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
-
-
-def device_of(name: str) -> torch.device:
-    """The device called "auto" (CUDA where there is one), "cpu" or "cuda".
-
-    Raises:
-        TFLabError: it is not there.
-    """
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
-    try:
-        return torch.device(name)
-    except RuntimeError:
-        raise TFLabError(f"device={name}: choose auto, cpu or cuda") from None

@@ -1,4 +1,4 @@
-"""``--help`` of every command: its docstring, and the configs with their own comments."""
+"""``--help`` of every command: its docstring, its choices, and its settings with their meaning."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 
 import yaml
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.types import RunMode
 from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
+
+from tf_lab.config.typed import settings_of
 
 CHOICES = "Choices (* those in use; the settings below are theirs):"
 SETTINGS = "Settings and their values (???: has to be given):"
@@ -38,16 +40,10 @@ def help_text(
         groups = reversed(cfg.hydra.runtime.choices.items())  # in the order of the config
         chosen = {group: option for group, option in groups if not group.startswith("hydra/")}
         options = [(group, o) for group in chosen for o in loader.get_group_options(group)]
-        used = loader.compute_defaults_list(name, list(words), RunMode.RUN).defaults
     choices = [
-        (f"{'*' if chosen[g] == o else ' '} {g}={o}", _summary(conf / g / f"{o}.yaml"))
-        for g, o in options
+        (f"{'*' if chosen[g] == o else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
     ]
-    comments: dict[str, str] = {}
-    for config in used:
-        path = conf / f"{config.config_path}.yaml"
-        if path.is_file():  # else it is one of Hydra's
-            comments.update(_comments(path, config.package or ""))
+    meanings = {key: field.metadata.get("about", "") for key, field in settings_of(cfg)}
     with open_dict(cfg):
         del cfg["hydra"]
     try:
@@ -56,9 +52,9 @@ def help_text(
         values = OmegaConf.to_container(cfg)
     assert isinstance(values, dict)
     settings = [
-        (f"  {key}={value}", comments.get(key, ""))
+        (f"  {key}={value}", meanings.get(key, ""))
         for key, value in sorted(_leaves(values), key=lambda leaf: "." in leaf[0])
-        if not is_within(key, unused)
+        if not is_within(key, (*unused, "content"))
     ]
     parts = [about.strip()]
     parts += ["\n".join([CHOICES, *_columns(choices)])] if choices else []
@@ -70,29 +66,14 @@ def is_within(key: str, groups: Sequence[str]) -> bool:
     return any(key == group or key.startswith(f"{group}.") for group in groups)
 
 
-def _summary(path: Path) -> str:
-    """The first comment of a config."""
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("# @")]
-    return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
-
-
-def _comments(path: Path, package: str) -> Iterator[tuple[str, str]]:
-    """The settings of a config that have a comment on their line, and the comment."""
-    text = path.read_text()
-    lines = text.splitlines()
-
-    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str]]:
-        if not isinstance(node, yaml.MappingNode):
-            return
-        for key, value in node.value:
-            name = f"{prefix}{key.value}"
-            end = key.end_mark if isinstance(value, yaml.MappingNode) else value.end_mark
-            comment = lines[end.line][end.column :].partition("# ")[2]
-            if comment:
-                yield name, comment
-            yield from walk(value, f"{name}.")
-
-    return walk(yaml.compose(text), f"{package}." if package else "")
+def _summary(conf: Path, group: str, option: str) -> str:
+    """What a choice is: the first comment of its file, or the docstring of its settings."""
+    path = conf / group / f"{option}.yaml"
+    if path.is_file():
+        lines = [line for line in path.read_text().splitlines() if not line.startswith("# @")]
+        return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
+    found = ConfigStore.instance().load(f"{group}/{option}.yaml")
+    return (OmegaConf.get_type(found.node).__doc__ or "").splitlines()[0]
 
 
 def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

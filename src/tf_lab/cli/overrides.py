@@ -1,7 +1,4 @@
-"""What is wrong with the words of a command line, in one line.
-
-Hydra needs several for that, and takes a value of any type for any setting.
-"""
+"""What is wrong with a command line, in one line; Hydra needs several for that."""
 
 from __future__ import annotations
 
@@ -19,14 +16,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import MissingConfigException, OverrideParseException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
+from omegaconf.errors import ValidationError
 
 from tf_lab.cli.help import is_within
-from tf_lab.cli.text_settings import value_of
 from tf_lab.errors import TFLabError
+from tf_lab.experiments.launcher import JOB, task_overrides
 
-JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
-OF_ANY_TYPE = ("trainer.devices",)  # a number, a list or "auto"
+FOUND_OUT = "content"  # of the data, when a run begins
 
 
 def is_sweep(words: argparse.Namespace) -> bool:
@@ -38,11 +35,10 @@ def is_sweep(words: argparse.Namespace) -> bool:
     return asked and JOB not in words.overrides
 
 
-def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
-    """That the settings given are of use, and of the type of their defaults.
+def check(unused: Sequence[str] = ()) -> None:
+    """That the settings given to the command whose job is running are of use.
 
     Args:
-        cfg: as the command got it from Hydra, whose job is still running.
         unused: settings (or groups of them) that the command does not read. A choice among a
             group's options may still say something else.
 
@@ -50,27 +46,12 @@ def check(cfg: DictConfig, unused: Sequence[str] = ()) -> None:
         TFLabError: one is not.
     """
     job = HydraConfig.get()
-    given = OverridesParser.create().parse_overrides(task_words(job))
-    choices = [str(o.input_line) for o in given if o.key_or_group in job.runtime.choices]
-    defaults = compose(job.job.config_name, choices)
-    for override in given:
+    for override in OverridesParser.create().parse_overrides(task_overrides(job)):
         name = override.key_or_group
-        if is_within(name, unused) and name not in job.runtime.choices:
+        if is_within(name, (*unused, FOUND_OUT)) and name not in job.runtime.choices:
             raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
-        if name in OF_ANY_TYPE or override.is_add() or override.is_delete():
-            continue
-        if name == "launcher" and JOB not in sys.argv:
+        if is_within(name, ["launcher"]) and JOB not in sys.argv:
             raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
-        wanted = _wanted(value_of(cfg, name), value_of(defaults, name))
-        if wanted is not None:
-            raise TFLabError(f"{override.input_line}: must be {wanted}")
-
-
-def task_words(hydra: Any) -> list[str]:
-    """The settings in Hydra's command line, of which nothing is replaced by another's value."""
-    words = OmegaConf.to_container(hydra.overrides.task, resolve=False)
-    assert isinstance(words, list)
-    return [str(word) for word in words]
 
 
 def check_groups(words: Sequence[str], conf: Path) -> None:
@@ -86,14 +67,20 @@ def check_groups(words: Sequence[str], conf: Path) -> None:
             raise TFLabError(f"{word}: choose one of {there}, or leave it out")
 
 
-def _wanted(value: Any, default: Any) -> str | None:
-    """What the value should be; None: it is."""
-    if isinstance(default, bool):
-        return None if isinstance(value, bool) else "true or false"
-    if isinstance(default, (int, float)):
-        fits = value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
-        return None if fits else "a number"
-    return None
+_WANTED = {
+    "Integer": "a whole number",
+    "Float": "a number",
+    "List": "a list, as in [1,2]",
+    "bool": "true or false",
+}
+
+
+def _wanted(error: BaseException | None) -> str:
+    """What a value should be that the schema does not take."""
+    text = str(error).splitlines()[0]
+    if "not Optional" in text:
+        return "given"
+    return next((wanted for name, wanted in _WANTED.items() if name in text), f"another: {text}")
 
 
 def explain(error: Exception, conf: Path, name: str) -> str:
@@ -116,6 +103,10 @@ def explain(error: Exception, conf: Path, name: str) -> str:
         key, _, value = error.override.partition("=")
         quoted = shlex.quote(f"{key}={QuotedString(value, Quote.double).with_quotes()}")
         return f"{error.override}: cannot be read ({reason}); if it is text, write {quoted}"
+    if isinstance(cause := error.__cause__, ValidationError):
+        refused = re.match(r"Error merging override (.+)", text, re.S)
+        where = refused[1] if refused else getattr(cause, "full_key", "") or ""
+        return f"{where}: must be {_wanted(cause)}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown.group(1)
         return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name)}; {more}"

@@ -8,24 +8,18 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import Field, dataclass, fields, is_dataclass
+from typing import Any, get_type_hints
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
-from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
+from tf_lab.config.schema import PARTS
+from tf_lab.config.typed import literal
 from tf_lab.errors import TFLabError
 
-PATHS = (  # in which ~ is expanded
-    *("input", "checkpoint", "output", "predictions", "groundtruth", "runs", "shards"),
-    *("data.root", "data.scenes", "data.urls", "data.train", "data.val", "data.test"),
-    *("encoder.weights", "init", "real"),
-)
-NAMES = ("format", "data.format", "model.name", "logger.project", "study")
-LISTS = ("runs", "data.urls", "data.train", "data.val", "data.test")  # one text, or [several]
 NEVER_SWEPT = ("output",)  # of the others, commas separate values in a sweep
 
 _QUOTED = r"""(?:"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')"""
@@ -34,23 +28,56 @@ _PART = rf"(?s)\s*(?:{_QUOTED}\s*(?=,|$)|(?:{_GROUP}|[^,])+)"
 _CHOICE = r"(?s)(?:choice|shuffle|sort|tag)\(.*\)"  # Hydra's functions for sweeps
 
 
-def quote_words(words: Sequence[str], sweeps: bool) -> dict[str, str]:
+@dataclass(frozen=True)
+class Texts:
+    """Which settings of a command are text, and of these, which may be a list of several."""
+
+    names: frozenset[str]
+    lists: frozenset[str]
+
+    @classmethod
+    def of(cls, schema: type) -> Texts:
+        """Those of a command, whichever parts are chosen."""
+        found = dict(_fields(schema))
+        lists = frozenset(name for name, field in found.items() if field.metadata.get("several"))
+        return cls(frozenset(name for name, field in found.items() if _is_text(field)), lists)
+
+
+def _fields(schema: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any]]]:
+    for field in fields(schema):
+        kind = get_type_hints(schema)[field.name]
+        if is_dataclass(kind):
+            yield from _fields(kind, f"{prefix}{field.name}.")
+        else:
+            yield f"{prefix}{field.name}", field
+    for parts in PARTS if not prefix else ():
+        if any(field.name == parts.group for field in fields(schema)):
+            for part in parts:
+                yield from _fields(part.settings, f"{parts.group}.")
+
+
+def _is_text(field: Field[Any]) -> bool:
+    return field.metadata.get("kind", "value") != "value" or str(field.type).startswith("str")
+
+
+def quote_words(words: Sequence[str], texts: Texts, sweeps: bool) -> dict[str, str]:
     """The settings of a command line as Hydra has to read them, by what was given.
 
     Args:
         words: ``NAME=VALUE``.
+        texts: which are text.
         sweeps: whether commas separate values of several jobs.
 
     Raises:
         TFLabError: a text is empty.
     """
-    return {word: _quote_word(word, sweeps) for word in words}
+    return {word: _quote_word(word, texts, sweeps) for word in words}
 
 
-def _quote_word(word: str, sweeps: bool) -> str:
+def _quote_word(word: str, texts: Texts, sweeps: bool) -> str:
     """``NAME=VALUE`` so that Hydra takes the value as it stands, if the setting is a text."""
     match = re.fullmatch(r"(?s)(\+{0,2}([\w.]+)=)(.*)", word)
-    if match is None or match[2] not in (*PATHS, *NAMES):
+    if match is None or match[2] not in texts.names:
         return word
     start, name, value = match.groups()
     if not value.strip():
@@ -58,17 +85,18 @@ def _quote_word(word: str, sweeps: bool) -> str:
     sweeps = sweeps and name not in NEVER_SWEPT
     if sweeps and re.fullmatch(_CHOICE, value):
         return word
-    parts = _split(value)
-    if (sweeps or name in LISTS) and len(parts) > 1 and not os.path.exists(expand(value)):  # noqa: PTH110
-        return start + ",".join(_quote(part, name) for part in parts)  # without -m, Hydra complains
-    return start + _quote(value, name)
+    parts, several = _split(value), name in texts.lists
+    is_path = os.path.exists(os.path.expanduser(value))  # noqa: PTH110, PTH111
+    if (sweeps or several) and len(parts) > 1 and not is_path:
+        return start + ",".join(_quote(part, several) for part in parts)  # without -m, an error
+    return start + _quote(value, several)
 
 
-def _quote(value: str, name: str) -> str:
+def _quote(value: str, several: bool) -> str:
     """The value of a setting for Hydra: null, a list of texts, or a text."""
     if value == "null":
         return value
-    if name in LISTS and value.startswith("[") and value.endswith("]"):
+    if several and value.startswith("[") and value.endswith("]"):
         return f"[{','.join(map(_quote_text, _split(value[1:-1])))}]"
     return _quote_text(value)
 
@@ -83,45 +111,9 @@ def _quote_text(value: str) -> str:
             return value
     except HydraException:
         pass
-    return QuotedString(_literal(value), Quote.single).with_quotes()
+    return QuotedString(literal(value), Quote.single).with_quotes()
 
 
 def _split(value: str) -> list[str]:
     """The parts between commas, without the blanks around them."""
     return [part.strip() for part in re.findall(_PART, value) if part.strip()]
-
-
-def _literal(value: str) -> str:
-    """The value for OmegaConf, which would replace ``${...}`` by a setting's value."""
-    return re.sub(r"(\\*)\$\{", r"\1\1\\${", value)
-
-
-def expand(path: str) -> str:
-    """The path with its ``~`` as a folder; pathlib's way fails where there is no such user."""
-    return os.path.expanduser(path)  # noqa: PTH111
-
-
-def settle(cfg: DictConfig) -> None:
-    """Expand ``~`` in the paths of a composed config, in place, wherever they come from.
-
-    Raises:
-        TFLabError: a text is something else, as only a file can say (2024_01_01 without quotes).
-    """
-    for name in (*PATHS, *NAMES):
-        value = value_of(cfg, name)
-        several = isinstance(value, ListConfig) and name in LISTS
-        texts = list(value) if several else [value]
-        for text in texts:
-            if text is not None and not isinstance(text, str):
-                raise TFLabError(f'{name}={text}: must be text; put it in quotes, "{text}"')
-        if name in PATHS and any(text and text.startswith("~") for text in texts):
-            expanded = [_literal(expand(text)) for text in texts]
-            OmegaConf.update(cfg, name, expanded if several else expanded[0])
-
-
-def value_of(cfg: DictConfig, name: str) -> Any:
-    """Of a setting; None: there is none, or it is made of another one that is missing."""
-    try:
-        return OmegaConf.select(cfg, name)
-    except OmegaConfBaseException:
-        return None

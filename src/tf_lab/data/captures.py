@@ -29,8 +29,8 @@ from tf_lab.data.digests import Sources, find_sources, read_sources
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.readers import capture_within, detect_format, open_capture
-from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.readers.source import SourceCapture
+from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene

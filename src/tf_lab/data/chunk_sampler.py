@@ -12,16 +12,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
-from tf_lab.data.chunks import (
-    COARSE_GRID,
-    FINE_GRID,
-    ChunkBatch,
-    ChunkRecord,
-    ChunkSettings,
-    make_batch,
-)
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkRecord, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.steps import own_steps
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import (
@@ -29,6 +23,7 @@ from tf_lab.geometry import (
     COARSE,
     FINE,
     VoxelGrid,
+    frustum_sides,
     in_view,
     invert_pose,
     project,
@@ -56,7 +51,7 @@ class ChunkScene:
         self.K = torch.from_numpy(self.scene.K).float()
         self.world_T_cam = torch.from_numpy(self.scene.world_T_cam)
         self.cam_T_world = invert_pose(self.world_T_cam)
-        self.sides = _frustum_sides(self.K, self.scene.size)
+        self.sides = frustum_sides(self.K, self.scene.size)
         weight = np.cumsum(self.truth.weight, dtype=np.float64)
         self.cumulative_weight = weight / weight[-1]
 
@@ -107,14 +102,6 @@ def choose_frames(
     rest = rng.permutation(np.flatnonzero(share < s.coverage))
     rest = rest[np.argsort(-share[rest], kind="stable")]
     return rng.permutation(np.concatenate([enough, rest[: s.images - len(enough)]]))
-
-
-def _frustum_sides(K: Tensor, size: tuple[int, int]) -> Tensor:
-    """Unit normals [N, 4, 3], inwards, of the planes through the camera and the image's edges."""
-    low, high = K.new_tensor([0, 0, 0.5]), [n - 0.5 for n in size]
-    ends = [K.new_tensor([0, 0, n]) for n in high]
-    sides = [K[:, 0] + low, ends[0] - K[:, 0], K[:, 1] + low, ends[1] - K[:, 1]]
-    return torch.nn.functional.normalize(torch.stack(sides, 1), dim=-1)
 
 
 class ChunkSampler:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,41 +17,13 @@ from torch import Tensor
 from torch.utils.data import IterableDataset
 
 from tf_lab.data.jpeg import decode_jpeg
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
 
 FINE_GRID = VoxelGrid((0.0, 0.0, 0.0), FINE, (15, 15, 15))
 # one voxel of margin, so that the refinement of the chunk's border sees what lies beyond it
 COARSE_GRID = VoxelGrid((-COARSE, -COARSE, -COARSE), COARSE, (7, 7, 7))
-
-
-@dataclass(frozen=True)
-class ChunkSettings:
-    """How chunks are drawn.
-
-    Attributes:
-        chunks: chunks a step and process (4 in the paper).
-        images: random images a chunk (8 in the paper), the candidates that voxels choose from.
-        views: K_t, how many of its valid images every voxel keeps, as at test time; one of the
-            numbers is drawn a step. Empty: it keeps all images, valid or not (paper).
-        rules: by which policy of view selection it keeps them, and in how many of the steps:
-            weights by name, of which one is drawn a step.
-        points: occupancy samples a chunk (1000 in the paper).
-        near_share: share of them within 10 cm of the surface (0.8 in the paper).
-        coverage: least share of the chunk that an image should see.
-        seen_by: how many images must; others fill up where there are no more, the best first.
-        augment: rotate the chunk about the vertical by a random angle.
-    """
-
-    chunks: int = 4
-    images: int = 8
-    views: tuple[int, ...] = ()
-    rules: Mapping[str, float] = field(default_factory=lambda: {"random": 1.0})
-    points: int = 1000
-    near_share: float = 0.8
-    coverage: float = 0.3
-    seen_by: int = 8
-    augment: bool = True
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from torch import Tensor
 from torch.utils.data import IterableDataset
 
 from tf_lab.data.capture import Capture
-from tf_lab.data.photometric import PhotometricSettings, photometric
+from tf_lab.data.photometric import photometric
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import PhotometricSettings
 from tf_lab.data.steps import own_steps
 from tf_lab.data.tsdf import unproject
 from tf_lab.errors import TFLabError

@@ -6,37 +6,12 @@ the sensor; its noise; then the camera's tone curve and its JPEG.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
+from tf_lab.data.settings import PhotometricSettings
+
 SCREEN_GAMMA = 2.2  # stored values to linear light, near enough
-
-
-@dataclass(frozen=True)
-class PhotometricSettings:
-    """How strong each effect is at most; 0 (jpeg: 100) is none of it.
-
-    Attributes:
-        exposure: change of exposure, stops (factors of two in linear light).
-        white_balance: gain of red and of blue, in logarithm (linear light).
-        blur: deviation of a Gaussian, pixels; in half of the images.
-        motion: length of a straight motion blur, pixels; in a quarter of the images.
-        noise: deviation of the sensor's noise, of a range of 0..1 (stored values).
-        gamma: exponent of the stored values, in logarithm.
-        contrast: gain about the image's mean, in logarithm (stored values).
-        jpeg: lowest JPEG quality, to 100; in half of the images.
-    """
-
-    exposure: float = 0.0
-    white_balance: float = 0.0
-    blur: float = 0.0
-    motion: float = 0.0
-    noise: float = 0.0
-    gamma: float = 0.0
-    contrast: float = 0.0
-    jpeg: int = 100
 
 
 def photometric(

@@ -12,7 +12,8 @@ import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 from webdataset import tarfile_samples
 
-from tf_lab.data.chunks import ChunkBatch, ChunkRecord, ChunkSettings, make_batch
+from tf_lab.data.chunks import ChunkBatch, ChunkRecord, make_batch
+from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.shard_set import Shard, ShardSet, open_shards
 from tf_lab.data.shards import decode
 from tf_lab.errors import TFLabError

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import VoxelGrid, invert_pose, pixel_directions, transform
+from tf_lab.geometry import VoxelGrid, frustum_corners, invert_pose, pixel_directions, transform
 from tf_lab.meshes.isosurface import mesh_of
+from tf_lab.meshes.weld import weld
 
 BYTES = 64  # a voxel of a slab while it is fused: the sums, and a frame's temporaries
 
@@ -148,17 +148,8 @@ def extract_mesh(tsdf: TSDF) -> trimesh.Trimesh:
 
 def join(meshes: Sequence[trimesh.Trimesh], tolerance: float = 1e-5) -> trimesh.Trimesh:
     """The meshes of neighbouring slabs as one; vertices closer than ``tolerance`` metres merge."""
-    meshes = [mesh for mesh in meshes if len(mesh.faces)]
-    if len(meshes) < 2:
-        return meshes[0] if meshes else trimesh.Trimesh()
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    faces = np.concatenate([m.faces + o for m, o in zip(meshes, offsets[:-1], strict=True)])
-    lattice = np.round(vertices / tolerance).astype(np.int64)
-    _, first, inverse = np.unique(lattice, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.reshape(-1)[faces]
-    a, b, c = faces.T
-    return trimesh.Trimesh(vertices[first], faces[(a != b) & (b != c) & (c != a)], process=False)
+    parts = [(mesh.vertices, mesh.faces) for mesh in meshes if len(mesh.faces)]
+    return trimesh.Trimesh(*weld(parts, tolerance), process=False) if parts else trimesh.Trimesh()
 
 
 def _frustum_block(
@@ -171,14 +162,14 @@ def _frustum_block(
 ) -> tuple[slice, slice, slice] | None:
     """What of the grid's rows a camera can see up to a depth, as slices; None if nothing.
 
-    Without an image size: what is within the ball that holds any image's frustum.
+    Without an image size: what is within the ball that holds any image's frustum, whose
+    corners are at most 60 degrees off the optical axis.
     """
-    eye = world_T_cam[None, :3, 3]
-    if size is None:  # as if the image's corner were 60 degrees off the optical axis
+    if size is None:
+        eye = world_T_cam[None, :3, 3]
         index = grid.to_index(torch.cat([eye - 2 * reach, eye + 2 * reach]))
     else:
-        directions = pixel_directions(K, size)[[0, 0, -1, -1], [0, -1, 0, -1]]
-        index = grid.to_index(torch.cat([eye, transform(world_T_cam, directions * reach)]))
+        index = grid.to_index(frustum_corners(K, world_T_cam, size, 0.0, reach))
     low = (index.amin(0).floor().long() - 1).clamp(min=0).tolist()
     high = (index.amax(0).ceil().long() + 2).tolist()
     high = [min(h, n) for h, n in zip(high, grid.shape, strict=True)]

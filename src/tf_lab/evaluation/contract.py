@@ -1,8 +1,8 @@
 """What a metric promises, and the check of it that every registered metric is run through.
 
-A metric is a function of (`Comparison`, its settings) that returns a number in the unit of its
-column. It is called only where there is something to compare: at least one predicted point and one
-of the ground truth. A missing or empty reconstruction scores what the registry says instead.
+A metric is a function of a `Comparison`, and of its settings by name, that returns a number in the
+unit of its column. It is called only where there is something to compare: at least one predicted
+point and one of the ground truth. A missing or empty reconstruction scores what the registry says.
 
 1. The number is finite, of a surface and of a point cloud (which has no faces).
 2. It is a pure function: the same for the same input, which it leaves as it is.
@@ -15,6 +15,7 @@ of the ground truth. A missing or empty reconstruction scores what the registry 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
@@ -39,19 +40,19 @@ def check_metric(part: MetricPart, settings: Any = None) -> None:
     """
     settings = part.settings(part.name) if settings is None else settings
     _check_settings(part, settings)
-    function = part.load()
+    function = functools.partial(METRICS.make, settings)
     exact, noisy = comparison(0.0), comparison(0.2)
     for found in (exact, noisy, cloud(exact)):
         given = (found.points, found.visible, found.truth)
         before = points, visible, truth = tuple(map(np.copy, given))
-        value = function(found, settings)
+        value = function(found)
         assert math.isfinite(value), f"{part.name}: not finite"
         for array, copy in zip(given, before, strict=True):
             assert np.array_equal(array, copy), f"{part.name}: changes its input"
         again = Comparison(points, visible, truth, found.mesh, found.faces, found.truth_mesh)
-        assert function(again, settings) == value, f"{part.name}: not pure"
-    score, worse = function(exact, settings), function(noisy, settings)
-    moved = function(comparison(0.2, elsewhere()), settings)
+        assert function(again) == value, f"{part.name}: not pure"
+    score, worse = function(exact), function(noisy)
+    moved = function(comparison(0.2, elsewhere()))
     assert math.isclose(moved, worse, rel_tol=1e-3), f"{part.name}: depends on the world's frame"
     assert part.higher_is_better is not None, f"{part.name}: higher_is_better is not said"
     sign = 1 if part.higher_is_better else -1

@@ -9,34 +9,37 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import torch
 from filelock import FileLock, Timeout
-from hydra.core.utils import env_override
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 
 @contextlib.contextmanager
-def one_gpu() -> Iterator[None]:
-    """Processes that start in the block see one GPU only, of those that no other job holds."""
+def one_gpu() -> Iterator[dict[str, str]]:
+    """Environment variables by which a process sees one GPU only, of those no other job holds.
+
+    Empty where there are not several.
+    """
     gpus = visible()
     if len(gpus) < 2:
-        yield
+        yield {}
         return
     places = Path(tempfile.gettempdir()) / f"tf_lab-gpus-{os.getuid()}"
-    with taken(gpus, places) as gpu, env_override({VISIBLE: gpu}):
-        yield
+    with reserved(gpus, places) as gpu:
+        yield {VISIBLE: gpu}
 
 
 def visible() -> list[str]:
     """The GPUs that torch sees here, as CUDA names them."""
+    import torch  # slow; a sweep that reuses all it asks for needs none
+
     count = torch.cuda.device_count()
     named = os.environ.get(VISIBLE)
     return (named.split(",") if named else [str(i) for i in range(count)])[:count]
 
 
 @contextlib.contextmanager
-def taken(gpus: Sequence[str], places: Path) -> Iterator[str]:
+def reserved(gpus: Sequence[str], places: Path) -> Iterator[str]:
     """Hold a place on a GPU: the first place of each goes before the second of any.
 
     The kernel frees it when its holder dies.

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import torch
-import yaml
-
+from tf_lab.config.schema import TrainConfig
+from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import row_label
 from tf_lab.experiments.reuse import Origin, origin_of
@@ -26,7 +24,7 @@ class Entry:
         directory: where it lies.
         state: "finished", "damaged", "unfinished", or how far a training is.
         user: the process that works on it; None: nobody.
-        config: its resolved config; empty if that cannot be read.
+        config: its config; None if that cannot be read.
         origin: its provenance; empty unless it is finished (an evaluation: begun).
         fscore: of a finished evaluation that has one.
     """
@@ -34,14 +32,14 @@ class Entry:
     directory: Path
     state: str
     user: str | None
-    config: dict[str, Any]
+    config: TrainConfig | None
     origin: Origin
     fscore: float | None = None
 
     @property
     def label(self) -> str:
         """The row of the paper's tables and the seed."""
-        return f"{row_label(self.config)} / {self.config['seed']}" if self.config else "?"
+        return f"{row_label(self.config)} / {self.config.seed}" if self.config else "?"
 
     @property
     def training(self) -> str | None:
@@ -73,8 +71,11 @@ def _training(directory: Path) -> Entry:
         if (directory / "model.safetensors").exists():
             state, origin = "finished", origin_of(directory)
         elif last.exists():
+            assert config is not None
+            import torch  # slow to import, and only here needed
+
             step = torch.load(last, map_location="cpu", mmap=True, weights_only=True)["global_step"]
-            state = f"step {step} of {config['optimizer']['steps']}"
+            state = f"step {step} of {config.optimizer.steps}"
         else:
             state = "unfinished"
     except Exception:  # any damage
@@ -94,11 +95,11 @@ def _run(directory: Path) -> Entry:
     return Entry(directory, state, holder(directory), config, origin, fscore)
 
 
-def _config(directory: Path) -> dict[str, Any]:
+def _config(directory: Path) -> TrainConfig | None:
     try:
-        return dict(yaml.safe_load((directory / "config.yaml").read_text()))
-    except (OSError, TypeError, ValueError, yaml.YAMLError):
-        return {}
+        return read_config(directory / "config.yaml")
+    except TFLabError:
+        return None
 
 
 def find(output: Path, name: str) -> Entry:

@@ -17,7 +17,7 @@ from tf_lab import __version__
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # what weights and scores depend on
-CORE = ("data", "network", "online", "meshes", "evaluation", "training", "geometry.py")
+CORE = ("data", "network", "online", "meshes", "evaluation", "training", "geometry")
 
 
 def provenance() -> dict[str, Any]:

@@ -6,16 +6,16 @@ import glob
 import json
 import shlex
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-import yaml
-
+from tf_lab.config.schema import TrainConfig
+from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of, training_identity
 from tf_lab.experiments.provenance import code_version, commit
-from tf_lab.network.checkpoint import read_info
+from tf_lab.support.headers import read_info
 
 Origin = Mapping[str, Any]
 
@@ -42,7 +42,7 @@ def removal(directory: Path) -> str:
     return f"python -m tf_lab.runs rm {shlex.quote(str(directory))}"
 
 
-def say_reused(what: str, directory: Path) -> None:
+def print_reuse(what: str, directory: Path) -> None:
     """Print that a finished training or evaluation is reused, and whether another code made it."""
     print(f"reusing the identical finished {what} {directory}", flush=True)
     try:
@@ -65,7 +65,7 @@ def commits_of(origins: Iterable[Origin]) -> str:
     return " and ".join(dict.fromkeys(name[:9] + dash + dirty for name, dash, dirty in parts))
 
 
-def earlier_state(config: Mapping[str, Any], directory: Path) -> Path | None:
+def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
     """The last state of the same training of fewer steps, if this one would pass through it.
 
     That is so unless the schedule depends on the number of steps: then a note says how to go on
@@ -75,19 +75,21 @@ def earlier_state(config: Mapping[str, Any], directory: Path) -> Path | None:
         config: of a training.
         directory: of that training; the others lie beside it.
     """
-    steps, found = config["optimizer"]["steps"], []
+    steps, found = config.optimizer.steps, []
     beside = glob.escape(directory.name.rpartition("-")[0])
     for path in directory.parent.glob(f"{beside}-*/last.ckpt"):
         try:
-            other = yaml.safe_load((path.parent / "config.yaml").read_text())
-            fewer = other["optimizer"]["steps"] < steps
+            other = read_config(path.parent / "config.yaml")
+            fewer = other.optimizer.steps < steps
             if fewer and _but_for_steps(other) == _but_for_steps(config):
+                import torch
+
                 state = torch.load(path, map_location="cpu", mmap=True, weights_only=True)
                 found.append((int(state["global_step"]), path))
         except Exception:  # any damage
             continue
     step, last = max(found, default=(0, None))
-    if last is None or config["optimizer"]["schedule"] == "inverse_sqrt":
+    if last is None or config.optimizer.schedule == "inverse_sqrt":
         return last
     print(
         f"note: {last.parent} is this training of fewer steps, and its schedule was planned for "
@@ -96,6 +98,6 @@ def earlier_state(config: Mapping[str, Any], directory: Path) -> Path | None:
     return None
 
 
-def _but_for_steps(config: Mapping[str, Any]) -> str:
-    identity = training_identity(config)
-    return key_of({**identity, "optimizer": {**identity["optimizer"], "steps": None}})
+def _but_for_steps(config: TrainConfig) -> str:
+    optimizer = replace(config.optimizer, steps=0)
+    return key_of(training_identity(replace(config, optimizer=optimizer)))

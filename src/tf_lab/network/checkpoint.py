@@ -8,12 +8,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.support.files import atomic_path
+from tf_lab.support.headers import read_header
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 
@@ -26,25 +27,6 @@ def save_network(network: Network, path: Path, info: dict[str, Any]) -> None:
         save_file(state, temporary, metadata)
 
 
-def read_info(path: Path) -> dict[str, Any]:
-    """The provenance of a checkpoint, without its weights.
-
-    Raises:
-        TFLabError: the file is not a checkpoint.
-    """
-    return json.loads(_metadata(path).get("info", "{}"))
-
-
-def _metadata(path: Path) -> dict[str, str]:
-    try:
-        with safe_open(path, framework="np") as file:
-            return file.metadata() or {}
-    except (SafetensorError, OSError) as error:
-        raise TFLabError(
-            f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
-        ) from error
-
-
 def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
 
@@ -53,7 +35,7 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """
     if not path.is_file():
         raise TFLabError(f"{path}: no such checkpoint; train one with `python -m tf_lab.train`")
-    metadata = _metadata(path)
+    metadata = read_header(path)
     if "config" not in metadata:
         raise TFLabError(
             f"{path}: no network configuration inside; it is not a checkpoint of tf_lab"

@@ -3,63 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
-from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.encoders import make_encoder
-from tf_lab.network.fusion import STRATEGIES, Fusion
+from tf_lab.network.fusion import make_fusion
+from tf_lab.network.fusion.strategy import Fusion
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.network.tokens import Measurements, Tokens, measure
 
 LEVELS = ("coarse", "fine")
-
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """Everything that shapes the weights' names and sizes, and nothing else.
-
-    Attributes:
-        width: D, the width of tokens, fused and refined features.
-        blocks, heads, expansion: of each fusion module.
-        fusion: "transformer", "avg" or "pred".
-        depth, ray: whether tokens get the projected depth and the viewing ray.
-        matching: whether kept tokens get evidence that the views agree; see `Agreement`.
-        refine: whether 3D CNNs refine the features.
-        refine_blocks: residual blocks a level.
-        filter: whether near-surface masks are trained and used.
-        hidden: width of the occupancy perceptron.
-        near, far: valid depth range, metres.
-        encoder: arguments of `make_encoder`.
-    """
-
-    width: int
-    blocks: int
-    heads: int
-    expansion: float
-    hidden: int
-    refine_blocks: int
-    encoder: dict[str, Any] = field(default_factory=dict)
-    fusion: str = "transformer"
-    depth: bool = True
-    ray: bool = True
-    matching: bool = False
-    refine: bool = True
-    filter: bool = True
-    near: float = 0.3
-    far: float = 5.0
-
-    def __post_init__(self) -> None:
-        if self.fusion not in STRATEGIES:
-            raise TFLabError(f"fusion={self.fusion}: choose one of {', '.join(STRATEGIES)}")
-        if self.width % self.heads:
-            raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")
 
 
 class KeepViews(Protocol):
@@ -114,7 +74,10 @@ class Network(nn.Module):
             {name: Tokens(channels[name], c.width, c.depth, c.ray) for name in LEVELS}
         )
         self.fusion = nn.ModuleDict(
-            {name: STRATEGIES[c.fusion](c.width, c.blocks, c.heads, c.expansion) for name in LEVELS}
+            {
+                name: make_fusion(c.fusion, c.width, c.blocks, c.heads, c.expansion)
+                for name in LEVELS
+            }
         )
         self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
         self.occupancy = OccupancyMLP(c.width, c.hidden)
@@ -146,11 +109,27 @@ class Network(nn.Module):
         """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
         return self.fusion[level](tokens, slots)
 
-    def selection_logits(self, level: str, tokens: Tensor) -> Tensor | None:
-        """What ranks views with tokens [..., K, D]: [..., K, H]; None: nothing does."""
+    def strategy(self, level: str) -> Fusion:
+        """The fusion module of a level."""
         strategy = self.fusion[level]
         assert isinstance(strategy, Fusion)
-        return strategy.selection_logits(tokens)
+        return strategy
+
+    @property
+    def ranks_views(self) -> bool:
+        """Whether its fusion says which views it would rather have."""
+        return self.strategy("coarse").ranks_views
+
+    def selection_logits(self, level: str, tokens: Tensor) -> Tensor | None:
+        """What ranks views with tokens [..., K, D]: [..., K, H]; None: nothing does."""
+        strategy = self.strategy(level)
+        return strategy.selection_logits(tokens) if strategy.ranks_views else None
+
+    def selection_heads(self, level: str) -> int:
+        """H, of `selection_logits`; 0 where there are none."""
+        probe = next(self.parameters()).new_zeros(1, self.config.width)
+        logits = self.selection_logits(level, probe)
+        return 0 if logits is None else logits.shape[-1]
 
     def forward(
         self,

@@ -1,6 +1,5 @@
 """Online reconstruction: keyframes, view sets, lazy fusion, meshing."""
 
-from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.settings import ReconstructionSettings
+import lazy_loader
 
-__all__ = ["ReconstructionSettings", "Reconstructor"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,26 +16,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.views.selection import make_policy
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """All that shapes a reconstruction, given a network.
-
-    Attributes:
-        reconstruction: views, mask threshold, mesh resolution.
-        select: "attention" or "random".
-        seed: of random selection.
-        keyframe_distance: see `keyframes`; 0 takes every frame.
-    """
-
-    reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
-    select: str = "attention"
-    seed: int = 0
-    keyframe_distance: float = 0.1
 
 
 @dataclass
@@ -50,7 +32,7 @@ class Reconstruction:
 def reconstruct(
     network: Network,
     capture: Capture,
-    settings: CaptureSettings,
+    settings: ReconstructionSettings,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction:
     """Reconstruct a capture from its keyframes; frames that can't be read are skipped.
@@ -65,10 +47,7 @@ def reconstruct(
         TFLabError: no frame can be read.
     """
     keyframes = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
-    # averaging has no preference among views: its "attention" is a random choice, seeded
-    select = settings.select if network.config.fusion != "avg" else "random"
-    policy = make_policy(select, settings.seed)
-    online = Reconstructor(network, settings.reconstruction, policy)
+    online = Reconstructor(network, settings)
     used, skipped = [], []
     for done, i in enumerate(keyframes, start=1):
         try:

@@ -10,15 +10,20 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.geometry import in_view, invert_pose, project, view_rays
+from tf_lab.geometry import (
+    frustum_corners,
+    frustum_planes,
+    in_view,
+    invert_pose,
+    project,
+    view_rays,
+)
 from tf_lab.network.network import LEVELS, Network
 from tf_lab.network.tokens import Measurements
-from tf_lab.online.frustum import frustum_planes
 from tf_lab.online.lattice.table import Table
 
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
@@ -59,7 +64,7 @@ class Frames:
         self.device = next(network.parameters()).device
         self.maps_device = device or self.device
         self.images: list[Tensor] = []
-        self.poses: list[tuple[np.ndarray, np.ndarray]] = []
+        self.poses: list[tuple[Tensor, Tensor]] = []
         self.cameras = Table(self.device)
         for name, shape in CAMERA.items():
             self.cameras.add_column(name, shape, torch.float32, 0)
@@ -92,8 +97,8 @@ class Frames:
         """
         number = len(self.images)
         self.images.append(image)
-        self.poses.append((K.numpy(), world_T_cam.numpy()))
-        planes = torch.from_numpy(np.column_stack(frustum_planes(*self.frustum(number)))).float()
+        self.poses.append((K, world_T_cam))
+        planes = frustum_planes(*self._frustum(number)).float()
         camera = [x.flatten() for x in (K, world_T_cam, invert_pose(world_T_cam), planes)]
         self.cameras.grow(number + 1)
         parts = upload(torch.cat(camera), self.device).split([len(x) for x in camera])
@@ -104,10 +109,15 @@ class Frames:
             self._load(number)
         return number
 
-    def frustum(self, frame: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int], float, float]:
-        """K, world_T_cam, size, nearest and farthest depth (metres) of a frame."""
+    def frustum_box(self, frame: int) -> tuple[Tensor, Tensor]:
+        """Lower and upper corner [3] (metres, on the host) of the box around a frame's frustum."""
+        corners = frustum_corners(*self._frustum(frame))
+        return corners.amin(0), corners.amax(0)
+
+    def _frustum(self, frame: int) -> tuple[Tensor, Tensor, tuple[int, int], float, float]:
+        K, world_T_cam = self.poses[frame]
         config = self.network.config
-        return (*self.poses[frame], self.size, config.near, config.far)
+        return K.double(), world_T_cam.double(), self.size, config.near, config.far
 
     def visible(self, points: Tensor, frame: int) -> Tensor:
         """Whether a frame sees points [P, 3], occlusion apart: bool [P]."""

@@ -27,15 +27,17 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, is_valid_pose, linear_map
+from tf_lab.meshes.colors import color_vertices
 from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
-from tf_lab.online.frustum import frustum_box, voxels_in
+from tf_lab.online.lattice.blocks import voxels_in
 from tf_lab.online.lattice.level import Box, Level
-from tf_lab.online.mesher import cells_per_voxel, color_vertices
 from tf_lab.online.pipeline import Pipeline
-from tf_lab.online.settings import DTYPES, ReconstructionSettings, dtype_of
+from tf_lab.online.precision import dtype_of
+from tf_lab.online.settings import ReconstructionSettings, cells_per_voxel
 from tf_lab.online.surface import Surface, whole_chunks
-from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.views import make_policy
+from tf_lab.online.views.selection import without_logits
 from tf_lab.online.views.store import ViewStore
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
@@ -46,23 +48,19 @@ class Reconstructor:
 
     Args:
         network: on its device, in evaluation mode.
-        settings: test-time settings.
-        policy: view selection; a network without preferences (``fusion=avg``) gets random views.
+        settings: test-time settings; its keyframes apply to captures, not to what is added here.
     """
 
     def __init__(
         self,
         network: Network,
         settings: ReconstructionSettings | None = None,
-        policy: SelectionPolicy | None = None,
     ) -> None:
         self.network = network
         self.settings = settings = settings or ReconstructionSettings()
         self.device = next(network.parameters()).device
-        policy = policy or AttentionSelection()
-        if policy.needs_logits and self._heads("coarse") == 0:
-            policy = RandomSelection()
-        self.policy = policy
+        policy = make_policy(settings.select, settings.seed)
+        self.policy = policy if network.ranks_views else without_logits(policy)
         maps_device = None if settings.maps_device is None else torch.device(settings.maps_device)
         maps = dtype_of(settings.maps, self.device)
         self.frames = Frames(network, maps, maps_device, settings.maps_budget)
@@ -174,7 +172,7 @@ class Reconstructor:
 
     def _see(self, frame: int) -> None:
         """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
-        voxels = voxels_in(*frustum_box(*self.frames.frustum(frame)), COARSE, self.device)
+        voxels = voxels_in(*self.frames.frustum_box(frame), COARSE, self.device)
         known = self.fine.blocks.find(voxels)
         known = known[(known >= 0) & self._touched(voxels, frame)]
         self._see_coarse(frame, voxels)
@@ -224,15 +222,9 @@ class Reconstructor:
             raise TFLabError("intrinsics without a positive, finite focal length")
         return pixels.permute(2, 0, 1).contiguous(), k, pose
 
-    def _heads(self, level: str) -> int:
-        """Heads of the selection logits; 0 if the strategy has no preference."""
-        probe = torch.zeros(1, self.network.config.width, device=self.device)
-        logits = self.network.selection_logits(level, probe)
-        return 0 if logits is None else logits.shape[-1]
-
     def _level(self, name: str, voxel: float) -> Level:
-        heads = self._heads(name) if self.policy.needs_logits else 0
-        dtype = DTYPES[self.settings.logits]
+        heads = self.network.selection_heads(name) if self.policy.needs_logits else 0
+        dtype = dtype_of(self.settings.logits, self.device)
         store = ViewStore(self.settings.views, heads, self.policy, self.device, dtype)
         return Level(name, voxel, self.frames, store, is_open=name == "coarse")
 

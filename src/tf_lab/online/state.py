@@ -18,10 +18,9 @@ from tf_lab.network.network import Network
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.views.selection import make_policy
 from tf_lab.support.files import atomic_path
 
-FORMAT = 1
+FORMAT = 2
 COLUMNS = ("frames", "logits", "seen")
 
 
@@ -31,8 +30,6 @@ def save_reconstruction(reconstructor: Reconstructor, path: Path) -> None:
     metadata = {
         "format": FORMAT,
         "settings": asdict(r.settings),
-        "policy": r.policy.name,
-        "seed": r.policy.seed,
         "network": fingerprint(r.network),
     }
     tensors: dict[str, Tensor] = {}
@@ -64,8 +61,7 @@ def load_reconstruction(path: Path, network: Network) -> Reconstructor:
         raise TFLabError(f"{path}: made with another network; load it with that one's checkpoint")
     try:
         settings = ReconstructionSettings(**metadata["settings"])
-        policy = make_policy(metadata["policy"], metadata["seed"])
-        r = Reconstructor(network, settings, policy)
+        r = Reconstructor(network, settings)
         with torch.inference_mode():
             if "images" in tensors:
                 cameras = tensors["images"], tensors["K"], tensors["world_T_cam"]

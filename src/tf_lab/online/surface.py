@@ -15,6 +15,7 @@ from torch import Tensor
 
 from tf_lab.geometry import CHUNK, FINE, VoxelGrid
 from tf_lab.meshes.isosurface import mesh_of
+from tf_lab.meshes.weld import Part, weld
 from tf_lab.online.lattice.blocks import offsets
 from tf_lab.online.lattice.level import BLOCK, Box, Level
 
@@ -33,7 +34,7 @@ class Surface:
     def __init__(self, fine: Level, n: int) -> None:
         self.fine, self.n = fine, n
         self.dirty: set[Chunk] = set()
-        self.parts: dict[Chunk, tuple[np.ndarray, np.ndarray]] = {}  # vertices, faces
+        self.parts: dict[Chunk, Part] = {}
 
     def touch(self, blocks: Tensor) -> None:
         """Fine blocks (numbers [N]) have other values than before."""
@@ -62,11 +63,7 @@ class Surface:
         chosen = [chunk for chunk in sorted(self.parts) if _touches(chunk, box)]
         if not chosen:
             return trimesh.Trimesh()
-        parts = [self.parts[chunk] for chunk in chosen]
-        start = np.cumsum([0, *(len(v) for v, _ in parts)])
-        vertices = np.concatenate([v for v, _ in parts])
-        faces = np.concatenate([f + s for (_, f), s in zip(parts, start, strict=False)])
-        vertices, faces = _merged(vertices, faces, EDGE * self.n)
+        vertices, faces = weld([self.parts[chunk] for chunk in chosen], borders=EDGE * self.n)
         return trimesh.Trimesh((vertices + 0.5) * (FINE / self.n), faces, process=False)
 
     def _mesh(self, chunk: Chunk) -> trimesh.Trimesh:
@@ -103,15 +100,3 @@ def _touches(chunk: Chunk, box: Box | None) -> bool:
         return True
     low = np.array(chunk) * CHUNK
     return bool((low <= box[1] + 1e-9).all() and (low + CHUNK >= box[0] - 1e-9).all())
-
-
-def _merged(vertices: np.ndarray, faces: np.ndarray, edge: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices on chunk borders, which several chunks have, become one."""
-    border = np.flatnonzero((vertices % edge == 0).any(1))
-    _, first, same = np.unique(vertices[border], axis=0, return_index=True, return_inverse=True)
-    target = np.arange(len(vertices))
-    target[border] = border[first[same.ravel()]]
-    kept = np.zeros(len(vertices), bool)
-    kept[target] = True
-    number = np.cumsum(kept) - 1
-    return vertices[kept], number[target[faces]]

@@ -11,12 +11,14 @@ from typing import Any
 
 import yaml
 
+from tf_lab.config.schema import TrainConfig
+from tf_lab.config.stored import read_config, write_config
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import Scores
-from tf_lab.experiments.identity import evaluation_identity, portable, row_label, training_identity
+from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
 from tf_lab.experiments.provenance import without_places
 from tf_lab.experiments.reuse import Origin, removal
-from tf_lab.support.files import atomic_path, write_json
+from tf_lab.support.files import write_json
 
 # What makes a run another row, or another repetition of one, of the same study; and which metrics
 # were measured beside the paper's, which makes no difference to those.
@@ -42,7 +44,7 @@ class Run:
     directory: Path
     row: str
     seed: int
-    config: dict[str, Any]
+    config: TrainConfig
     settings: dict[str, Any]
     scenes: dict[str, Scores]
     makers: tuple[Origin, ...]
@@ -80,16 +82,13 @@ def read_run(directory: Path) -> Run:
     Raises:
         TFLabError: one of them is missing or damaged, or of a version that had other settings.
     """
-    config = _read(directory / "config.yaml", yaml.safe_load)
+    try:
+        config = read_config(directory / "config.yaml")
+    except TFLabError as error:
+        raise TFLabError(f"{error}; {_anew(directory / 'config.yaml')}") from error
     metrics = _read(directory / "metrics.json", json.loads)
     origin = _read(directory / "run.json", json.loads)
-    try:
-        trained, evaluated = training_identity(config), evaluation_identity(config)
-        row, seed = row_label(config), config["seed"]
-    except (KeyError, TypeError, AttributeError) as error:
-        raise TFLabError(
-            f"{directory / 'config.yaml'}: lacks settings of this version ({error}); run it again"
-        ) from error
+    trained, evaluated = training_identity(config), evaluation_identity(config)
     settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
     settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
     training = origin.get("training", {})
@@ -98,8 +97,8 @@ def read_run(directory: Path) -> Run:
     settings["test"]["scenes"] = sorted(scenes)
     return Run(
         directory,
-        row,
-        seed,
+        row_label(config),
+        config.seed,
         config,
         _flat(settings),
         scenes,
@@ -158,9 +157,7 @@ def keep_run(run: Run, folder: Path) -> Path:
     kept = folder / run.directory.name
     if kept.resolve() == run.directory.resolve():
         return kept
-    with atomic_path(kept / "config.yaml") as temporary:
-        config = yaml.safe_dump(portable(run.config), sort_keys=False)
-        temporary.write_text(config, encoding="utf-8")
+    write_config(run.config, kept / "config.yaml", portable=True)
     for name in ("run.json", "metrics.json"):
         write_json(kept / name, without_places(_read(run.directory / name, json.loads)))
     return kept

@@ -15,8 +15,8 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.metadata
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
 from typing import Any, Generic, TypeVar
 
 from tf_lab.errors import TFLabError
@@ -112,6 +112,34 @@ class Registry(Generic[P]):
     def named(self, settings: Any) -> P:
         """The part that settings are of."""
         return self[getattr(settings, self.key)]
+
+    def settings(self, given: Any) -> Any:
+        """Settings of a part: as they are, of a name (all else by default), or of a mapping.
+
+        Raises:
+            TFLabError: there is no such part, or it has no such settings.
+        """
+        if isinstance(given, str):
+            given = {self.key: given}
+        if not isinstance(given, Mapping):
+            return given
+        try:
+            return self[given.get(self.key, "")].settings(**given)
+        except TypeError as error:
+            raise TFLabError(f"{self.group}={given[self.key]}: {error}") from error
+
+    def make(self, given: Any, *arguments: Any) -> Any:
+        """A part's object: its target called with arguments, and with its settings by name.
+
+        Args:
+            given: as of `settings`.
+            arguments: what all parts of this kind are made with.
+        """
+        settings = self.settings(given)
+        names = [field.name for field in fields(settings) if field.name != self.key]
+        return self.named(settings).load()(
+            *arguments, **{name: getattr(settings, name) for name in names}
+        )
 
 
 @functools.cache

@@ -19,7 +19,7 @@ from dataclasses import MISSING
 from typing import Any, Literal
 
 Shapes = Literal["weights", "scores", "nothing"]
-Kind = Literal["value", "path"]
+Kind = Literal["value", "path", "source"]
 
 
 def setting(
@@ -38,7 +38,8 @@ def setting(
         about: what it means, with its unit, as ``--help`` prints it.
         shapes: "weights": other values train another network; "scores": they only evaluate it
             otherwise; "nothing": results are the same.
-        kind: "path": ``~`` is expanded, and whatever it looks like it is text.
+        kind: "path": a place on this machine, in which ``~`` is expanded; "source": a place or a
+            name, likewise. Whatever they look like, they are text.
         several: a list of texts may be given as well as one.
     """
     metadata = {"about": about, "shapes": shapes, "kind": kind, "several": several}
@@ -75,3 +76,10 @@ def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasse
             yield from described(value, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", field
+
+
+def lists_to_tuples(settings: Any) -> None:
+    """Make a frozen dataclass' lists tuples, in ``__post_init__``: configs know only lists."""
+    for field in dataclasses.fields(settings):
+        if isinstance(value := getattr(settings, field.name), list):
+            object.__setattr__(settings, field.name, tuple(value))

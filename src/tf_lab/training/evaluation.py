@@ -23,7 +23,8 @@ from tf_lab.evaluation.registry import METRICS, with_paper
 from tf_lab.evaluation.scenes import SceneResult, save_scene, write_metrics
 from tf_lab.evaluation.scores import Scores
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings, Reconstruction, reconstruct
+from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.progress import progress_bar
 
 
@@ -66,7 +67,7 @@ class SceneEvaluation(L.LightningModule):
     def __init__(
         self,
         network: Network,
-        settings: CaptureSettings,
+        settings: ReconstructionSettings,
         metrics: Sequence[Any] = (),
         run: Path | None = None,
         label: str = "",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,41 +18,54 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
+from tf_lab.config.build import build_network, initialise_encoder
+from tf_lab.config.schema import TrainConfig
+from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.encoders.weights import read_state_dict
-from tf_lab.network.network import Network, NetworkConfig
+from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 
-Config = Mapping[str, Any]
 SHIPPED = "shipped"
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
 OPTIMIZER = "optimizer"  # among the hyperparameters of a state
 
 
-def initial_path(config: Config) -> Path | None:
+def make_network(config: TrainConfig) -> Network:
+    """The network, initialised as ``init`` says, or its encoder as ``encoder.weights`` does."""
+    network = build_network(config)
+    start = initial_path(config)
+    if start is not None:
+        initialise(network, start)
+    else:
+        initialise_encoder(network.encoder, config.encoder, config.model.name)
+    return network
+
+
+def initial_path(config: TrainConfig) -> Path | None:
     """The file that ``init`` names, if it names one."""
-    name = config.get("init")
-    if not name:
+    if not config.init:
         return None
-    return shipped_checkpoint() if name == SHIPPED else Path(str(name)).expanduser()
+    return shipped_checkpoint() if config.init == SHIPPED else Path(config.init)
 
 
-def initial_digests(config: Config) -> dict[str, str]:
-    """Hashes of what is in the files that a training starts from.
+def with_initial_digests(config: TrainConfig, content: Content) -> Content:
+    """With hashes of what is in the files that a training starts from.
 
     Raises:
         TFLabError: one cannot be read.
     """
-    digests = {}
-    path, weights = initial_path(config), config["encoder"]["weights"]
+    path, weights = initial_path(config), config.encoder.weights
     if path is not None:
-        digests["init"] = _digest(read_state(path) if _is_state(path) else _weights(path))
-    elif weights not in BUILT_IN:
-        digests["encoder"] = _digest(read_state_dict(Path(weights)))
-    return digests
+        start = read_state(path) if _is_state(path) else _weights(path)
+        return replace(content, init=_digest(start))
+    if weights not in BUILT_IN:
+        return replace(content, encoder=_digest(read_state_dict(Path(weights))))
+    return content
 
 
-def initial_state(config: Config) -> Path | None:
+def initial_state(config: TrainConfig) -> Path | None:
     """The state that a training goes on from, if ``init`` names one."""
     path = initial_path(config)
     return path if path is not None and _is_state(path) else None

@@ -5,22 +5,23 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
 
+from tf_lab.config.schema import TrainConfig
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import training_directory
 
 
-def make_loggers(config: Mapping[str, Any], directory: Path) -> Sequence[Logger]:
+def make_loggers(config: TrainConfig, directory: Path) -> Sequence[Logger]:
     """The CSV logger, which the loss curve is drawn from, and the one that is asked for.
 
     Raises:
         TFLabError: its package or its account is missing.
     """
-    kind = config["logger"]["kind"]
+    kind = config.logger.kind
     loggers: list[Logger] = [CSVLogger(directory, name="logs", flush_logs_every_n_steps=20)]
     if kind == "tensorboard":
         loggers.append(_tensorboard(directory))
@@ -38,14 +39,14 @@ def _tensorboard(directory: Path) -> Logger:
         ) from error
 
 
-def _wandb(config: Mapping[str, Any], directory: Path) -> Logger:
+def _wandb(config: TrainConfig, directory: Path) -> Logger:
     logger = WandbLogger(
         name=directory.name,
         id=directory.name,
         save_dir=directory,
-        project=config["logger"]["project"],
-        offline=config["logger"]["offline"],
-        config=dict(config),
+        project=config.logger.project,
+        offline=config.logger.offline,
+        config=asdict(config),
     )
     with _account():
         _ = logger.experiment  # logs in
@@ -64,13 +65,13 @@ def _account() -> Iterator[None]:
         ) from error
 
 
-def log_scores(config: Mapping[str, Any], run: Path, mean: Mapping[str, float]) -> None:
+def log_scores(config: TrainConfig, run: Path, mean: Mapping[str, float]) -> None:
     """Log the scores of an evaluation with W&B, if that is asked for.
 
     An evaluation is a W&B run of its own, because a training may have many; but under
     ``wandb agent`` all belongs to the one run that the agent has begun.
     """
-    if config["logger"]["kind"] != "wandb":
+    if config.logger.kind != "wandb":
         return
     import wandb
 
@@ -83,9 +84,9 @@ def log_scores(config: Mapping[str, Any], run: Path, mean: Mapping[str, float]) 
             group=training_directory(config).name,
             job_type="evaluation",
             dir=run,
-            project=config["logger"]["project"],
-            mode="offline" if config["logger"]["offline"] else None,
-            config=dict(config),
+            project=config.logger.project,
+            mode="offline" if config.logger.offline else None,
+            config=asdict(config),
             resume="allow",
         )
     session.log({f"test/{key}": value for key, value in mean.items()})

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import lightning as L
@@ -14,57 +15,28 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from rich.progress import Progress, TaskID
 from torch import Tensor
 
+from tf_lab.config.groups import OptimizerSettings
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch
-from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.network.network import Network
-from tf_lab.online.captures import CaptureSettings
+from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.views import make_policy
 from tf_lab.online.views.batch import BatchSelection
-from tf_lab.online.views.selection import make_policy
 from tf_lab.support.progress import Once, Pace, progress_bar
 from tf_lab.training.evaluation import SceneEvaluation
 from tf_lab.training.known_maps import KnownMaps
 from tf_lab.training.losses import losses
 
 
-@dataclass(frozen=True)
-class OptimizerSettings:
-    """Adam and its schedule.
-
-    Attributes:
-        lr: peak learning rate (1e-4 in the paper).
-        betas, eps, weight_decay: of Adam (paper: (0.9, 0.999), 1e-8, 1e-4).
-        schedule: "inverse_sqrt" (paper) or "cosine" (to 0 at the last step).
-        warmup: steps of linear warm-up (5000 in the paper).
-        steps: all steps.
-        clip: largest gradient norm; 0: none (paper).
-        encoder_factor: the encoder's learning rate over the others' (1 in the paper); 0: it stays
-            as it is, and encodes an image once.
-    """
-
-    lr: float
-    betas: tuple[float, float]
-    eps: float
-    weight_decay: float
-    schedule: str
-    warmup: int
-    steps: int
-    clip: float
-    encoder_factor: float
-
-    def __post_init__(self) -> None:
-        if self.schedule not in ("inverse_sqrt", "cosine"):
-            raise TFLabError(f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine")
-
-    def factor(self, step: int) -> float:
-        """The learning rate at a step (from 0) over the peak."""
-        warm = min(1.0, (step + 1) / max(1, self.warmup))
-        if self.schedule == "inverse_sqrt":
-            return warm * (max(1, self.warmup) / max(step + 1, self.warmup, 1)) ** 0.5
-        done = max(0, step - self.warmup) / max(1, self.steps - self.warmup)
-        cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, done) * torch.pi)).item())
-        return warm * cosine
+def schedule_factor(settings: OptimizerSettings, step: int) -> float:
+    """The learning rate at a step (from 0) over the peak."""
+    warm = min(1.0, (step + 1) / max(1, settings.warmup))
+    if settings.schedule == "inverse_sqrt":
+        return warm * (max(1, settings.warmup) / max(step + 1, settings.warmup, 1)) ** 0.5
+    done = max(0, step - settings.warmup) / max(1, settings.steps - settings.warmup)
+    cosine = 0.5 * (1 + torch.cos(torch.tensor(min(1.0, done) * torch.pi)).item())
+    return warm * cosine
 
 
 class Training(SceneEvaluation):
@@ -84,7 +56,7 @@ class Training(SceneEvaluation):
         network: Network,
         optimizer: OptimizerSettings,
         sdf_weight: float,
-        test: CaptureSettings,
+        test: ReconstructionSettings,
         maps_memory: int = 0,
         metrics: Sequence[Any] = (),
     ) -> None:
@@ -139,7 +111,7 @@ class Training(SceneEvaluation):
             {"params": encoder, "lr": s.lr * s.encoder_factor},
         ]
         adam = torch.optim.Adam(groups, s.lr, s.betas, s.eps, s.weight_decay)
-        schedule = torch.optim.lr_scheduler.LambdaLR(adam, s.factor)
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, partial(schedule_factor, s))
         return {
             "optimizer": adam,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},

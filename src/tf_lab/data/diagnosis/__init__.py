@@ -15,7 +15,7 @@ from tf_lab.data.diagnosis.search import search
 from tf_lab.data.diagnosis.sensors import compare_sensors
 from tf_lab.data.diagnosis.statistics import describe
 from tf_lab.data.diagnosis.verdict import UNKNOWN, WRONG, Report, judge, too_poor
-from tf_lab.data.readers.settings import AS_STATED, ReadSettings
+from tf_lab.data.reading import AS_STATED, ReadSettings
 
 PAIRS, FEW = 60, 12  # of images: of a whole check, and of a quick one
 NARROW = 400  # pixels, for a quick one

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tf_lab.data.readers.settings import AXES, CODES, POSES, QUATERNIONS, ReadSettings
 from tf_lab.data.readers.source import Given
+from tf_lab.data.reading import AXES, CODES, POSES, QUATERNIONS, ReadSettings
 
 SHIFTS = 5  # frames, either way
 

@@ -12,8 +12,8 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.diagnosis.matches import MOST, Pair, sampson_pixels
 from tf_lab.data.lens import Camera, camera_of
 from tf_lab.data.readers.mend import mended_camera, mended_poses, turned
-from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import Given, SourceCapture, SourceFrame
+from tf_lab.data.reading import ReadSettings
 
 PARALLAX = 0.02  # radians between the rays of a point whose depth is worth asking for
 SMALL = 0.05  # pixels at 640 columns: differences below it mean nothing

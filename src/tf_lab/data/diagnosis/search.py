@@ -22,7 +22,7 @@ from tf_lab.data.diagnosis.alternatives import (
     of_poses,
 )
 from tf_lab.data.diagnosis.evidence import SMALL, Evidence
-from tf_lab.data.readers.settings import ReadSettings
+from tf_lab.data.reading import ReadSettings
 
 FOCAL_RANGE = (0.7, 1.4)
 # How many times smaller the errors must be, for a change that is one of many and for a small one.

@@ -13,8 +13,8 @@ from tf_lab.data.diagnosis.evidence import Evidence, given_of
 from tf_lab.data.diagnosis.matches import Album
 from tf_lab.data.gravity import DIRECTION_FILE
 from tf_lab.data.keyframes import select_keyframes
-from tf_lab.data.readers.settings import ReadSettings
 from tf_lab.data.readers.source import SourceCapture
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 KEYFRAME_DISTANCE = 0.1  # as in reconstruction

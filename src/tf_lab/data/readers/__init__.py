@@ -34,8 +34,8 @@ from tf_lab.data.readers import (
     video,
 )
 from tf_lab.data.readers.mend import mended
-from tf_lab.data.readers.settings import AS_STATED, ReadSettings
 from tf_lab.data.readers.source import SourceCapture
+from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 

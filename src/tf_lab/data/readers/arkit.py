@@ -29,8 +29,8 @@ from tf_lab.data.readers.parsing import (
     pose_of_quaternion,
     read_timeline,
 )
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, Pixels, SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 
 NAME = "arkit"

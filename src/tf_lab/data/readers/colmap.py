@@ -23,8 +23,8 @@ import numpy as np
 from tf_lab.data.readers.colmap_model import ModelImage, count_images, has_model, read_model
 from tf_lab.data.readers.images import at_file_size, frame_names, is_file, natural_order
 from tf_lab.data.readers.parsing import pose_of_quaternion
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 
 NAME = "colmap"

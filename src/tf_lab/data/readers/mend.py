@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tf_lab.data.lens import Camera
-from tf_lab.data.readers.settings import AXES, Convention, ReadSettings
 from tf_lab.data.readers.source import Given, Pixels, SourceCapture, SourceFrame, usable
+from tf_lab.data.reading import AXES, Convention, ReadSettings
 from tf_lab.errors import TFLabError
 
 DIRECTIONS = {

@@ -29,7 +29,6 @@ from tf_lab.data.readers.apps import arkit_camera
 from tf_lab.data.readers.fields import number, numbers, read_document
 from tf_lab.data.readers.images import at_file_size, image_files
 from tf_lab.data.readers.parsing import opencv_of_opengl, pose_of_quaternion
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import (
     ColorFile,
     DepthFile,
@@ -38,6 +37,7 @@ from tf_lab.data.readers.source import (
     SourceFrame,
     collect,
 )
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 
 NAME = "record3d"

@@ -22,8 +22,8 @@ from tf_lab.data.readers.apps import DOWN, arkit_camera, confident_depth
 from tf_lab.data.readers.fields import numbers, read_document
 from tf_lab.data.readers.images import image_files, image_size
 from tf_lab.data.readers.parsing import opencv_of_opengl
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 
 NAME = "scanner_app"

@@ -15,7 +15,7 @@ import torch
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.data.lens import Camera, rectify_image, register_depth
 from tf_lab.data.readers.scaled_rotations import unscaled
-from tf_lab.data.readers.settings import OURS, Convention
+from tf_lab.data.reading import OURS, Convention
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 

@@ -23,8 +23,8 @@ import numpy as np
 from tf_lab.data.readers.apps import DOWN, arkit_camera, confident_depth
 from tf_lab.data.readers.frames_of_video import Video, VideoFrame
 from tf_lab.data.readers.parsing import pose_of_quaternion, read_intrinsics
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import Pixels, SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 from tf_lab.support.text import read_lines
 

@@ -46,8 +46,8 @@ from tf_lab.data.readers.images import (
     natural_order,
 )
 from tf_lab.data.readers.parsing import opencv_of_opengl
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 
 NAME = "transforms"

@@ -35,8 +35,8 @@ from tf_lab.data.readers.parsing import (
     read_intrinsics,
     read_timeline,
 )
-from tf_lab.data.readers.settings import Convention
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
+from tf_lab.data.reading import Convention
 from tf_lab.errors import TFLabError
 
 NAME = "tum"

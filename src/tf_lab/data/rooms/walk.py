@@ -12,22 +12,16 @@ from scipy.sparse.csgraph import dijkstra
 
 from tf_lab.data.rooms.footprint import CELL, FreeSpace
 from tf_lab.data.rooms.layout import Rect
+from tf_lab.geometry import pose_distance
 
 Rng = np.random.Generator
-STEP = 0.12  # the keyframe measure between frames
+STEP = 0.12  # the keyframes' pose distance between frames
 CLEAR = 0.4  # metres between the camera and what stands or hangs beside it
 STRIDE = 0.06  # metres of path between decisions where to look
 APART = 8.0  # metres that another room is farther away than it is
 STOPS = 0.35  # the share of ways that lead to something to look at from near
 NEAR = 0.5  # metres from where one stands to look at something from near: there one does
 CONE = np.cos(np.radians(23))  # what counts as seen: about the image's inscribed cone
-
-
-def keyframe_measure(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """DeepVideoMVS' distance [N] of poses [N, 4, 4]: sqrt(R^2 + t^2) of inv(a) b."""
-    trace = np.einsum("nij,nij->n", a[:, :3, :3], b[:, :3, :3])
-    turn = 2 * (1 - np.minimum(3.0, trace) / 3)
-    return np.sqrt(turn + ((a[:, :3, 3] - b[:, :3, 3]) ** 2).sum(axis=1))
 
 
 def rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
@@ -271,13 +265,13 @@ def wave(rng: Rng, n: int, sigma: float) -> np.ndarray:
 
 
 def _resample(poses: np.ndarray, frames: int, rng: Rng) -> np.ndarray:
-    """Numbers of poses each about `STEP` (keyframe measure) from the one before."""
+    """Numbers of poses each about `STEP` (pose distance) from the one before."""
     steps = STEP * (1 + 0.05 * np.clip(wave(rng, frames, 3), -2, 2))
     chosen = [0]
     for step in steps[1:]:
         last = chosen[-1]
         ahead = poses[last + 1 : last + 200]
-        far = keyframe_measure(poses[last : last + 1], ahead) >= step
+        far = pose_distance(poses[last], ahead)[0] >= step
         if not far.any():
             raise ValueError("the path is too short for the walk")
         chosen.append(last + 1 + int(np.argmax(far)))

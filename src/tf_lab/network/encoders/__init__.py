@@ -1,21 +1,29 @@
 """Encoders: one file a kind, all with one signature, images to coarse and fine feature maps.
 
-To add one, subclass `Encoder` in a file of its own, name it in `ENCODERS`, and give it a config in
-conf/encoder with that ``name``.
+To add one, subclass `Encoder` in a file of its own, write its settings, and register both here.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tf_lab.errors import TFLabError
-from tf_lab.network.encoders.efficientnet import EfficientNetLite0
-from tf_lab.network.encoders.pyramid import PYRAMID, Encoder
-from tf_lab.network.encoders.resnet import ResNet
-from tf_lab.network.encoders.weights import read_state_dict
+from tf_lab.network.encoders.settings import EfficientNetLite0Settings, ResNetSettings
+from tf_lab.support.registry import Part, Registry
 
-ENCODERS: dict[str, type[Encoder]] = {"resnet": ResNet, "efficientnet_lite0": EfficientNetLite0}
+if TYPE_CHECKING:
+    from tf_lab.network.encoders.pyramid import Encoder
+
+ENCODERS: Registry[Part] = Registry("encoder", "name")
+ENCODERS.add(
+    Part("resnet", "tf_lab.network.encoders.resnet:ResNet", ResNetSettings, option="resnet18")
+)
+ENCODERS.add(
+    Part(
+        "efficientnet_lite0",
+        "tf_lab.network.encoders.efficientnet:EfficientNetLite0",
+        EfficientNetLite0Settings,
+    )
+)
 
 
 def make_encoder(name: str = "resnet", **arguments: Any) -> Encoder:
@@ -24,53 +32,4 @@ def make_encoder(name: str = "resnet", **arguments: Any) -> Encoder:
     Raises:
         TFLabError: there is none of this name.
     """
-    if name not in ENCODERS:
-        raise TFLabError(f"encoder.name={name}: choose one of {', '.join(ENCODERS)}")
-    return ENCODERS[name](**arguments)
-
-
-def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
-    """Initialise an encoder.
-
-    Args:
-        encoder: changed in place.
-        source: "none" (random), "imagenet" (see the kinds of encoders), "rooms" (ours, pre-trained
-            on the rooms' train split, ``shipped``), or a path to a state dict (.pth with the keys
-            of ImageNet's weights, or .safetensors).
-        shipped: the file behind "rooms" for this model size.
-
-    Raises:
-        TFLabError: no weights can be had, or they are of another architecture.
-    """
-    if source == "none":
-        return
-    if source == "imagenet":
-        state = encoder.imagenet_weights()
-    elif source == "rooms":
-        if not shipped.is_file():
-            model, _, kind = shipped.stem.removesuffix("-encoder").partition("-")
-            words = f"model={model} encoder={kind}" if kind else f"model={model}"
-            raise TFLabError(
-                f"encoder.weights=rooms: {shipped.name} does not ship with tf_lab; make it with "
-                f"`python -m tf_lab.pretrain {words}` and give the file that it names "
-                "(encoder.weights=FILE), or use encoder.weights=none"
-            )
-        state = read_state_dict(shipped)
-    else:
-        state = read_state_dict(Path(source))
-    state = encoder.trunk_of(state)
-    own = encoder.state_dict()
-    unknown = [k for k, v in state.items() if k not in own or own[k].shape != v.shape]
-    if unknown:
-        raise TFLabError(
-            f"encoder.weights={source}: {len(unknown)} tensors do not fit this encoder "
-            f"(first: {unknown[0]}); use weights of the same encoder, or encoder.weights=none"
-        )
-    missing = [k for k in own if k not in state and not k.startswith(PYRAMID)]  # which is ours
-    missing = [k for k in missing if not k.endswith("num_batches_tracked")]
-    if missing:
-        raise TFLabError(
-            f"encoder.weights={source}: {len(missing)} tensors of this encoder are missing "
-            f"(first: {missing[0]}); use weights of the same encoder, or encoder.weights=none"
-        )
-    encoder.load_state_dict(state, strict=False)
+    return ENCODERS[name].load()(**arguments)

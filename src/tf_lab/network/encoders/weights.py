@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.encoders.pyramid import PYRAMID, Encoder
 
 
 def read_state_dict(path: Path) -> dict[str, Tensor]:
@@ -29,3 +30,50 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
         raise TFLabError(f"{path}: not a weights file (it holds no dictionary of tensors)")
     return state
+
+
+def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
+    """Initialise an encoder.
+
+    Args:
+        encoder: changed in place.
+        source: "none" (random), "imagenet" (see the kinds of encoders), "rooms" (ours, pre-trained
+            on the rooms' train split, ``shipped``), or a path to a state dict (.pth with the keys
+            of ImageNet's weights, or .safetensors).
+        shipped: the file behind "rooms" for this model size.
+
+    Raises:
+        TFLabError: no weights can be had, or they are of another architecture.
+    """
+    if source == "none":
+        return
+    if source == "imagenet":
+        state = encoder.imagenet_weights()
+    elif source == "rooms":
+        if not shipped.is_file():
+            model, _, kind = shipped.stem.removesuffix("-encoder").partition("-")
+            words = f"model={model} encoder={kind}" if kind else f"model={model}"
+            raise TFLabError(
+                f"encoder.weights=rooms: {shipped.name} does not ship with tf_lab; make it with "
+                f"`python -m tf_lab.pretrain {words}` and give the file that it names "
+                "(encoder.weights=FILE), or use encoder.weights=none"
+            )
+        state = read_state_dict(shipped)
+    else:
+        state = read_state_dict(Path(source))
+    state = encoder.trunk_of(state)
+    own = encoder.state_dict()
+    unknown = [k for k, v in state.items() if k not in own or own[k].shape != v.shape]
+    if unknown:
+        raise TFLabError(
+            f"encoder.weights={source}: {len(unknown)} tensors do not fit this encoder "
+            f"(first: {unknown[0]}); use weights of the same encoder, or encoder.weights=none"
+        )
+    missing = [k for k in own if k not in state and not k.startswith(PYRAMID)]  # which is ours
+    missing = [k for k in missing if not k.endswith("num_batches_tracked")]
+    if missing:
+        raise TFLabError(
+            f"encoder.weights={source}: {len(missing)} tensors of this encoder are missing "
+            f"(first: {missing[0]}); use weights of the same encoder, or encoder.weights=none"
+        )
+    encoder.load_state_dict(state, strict=False)

@@ -10,22 +10,56 @@ are made of; a view's logits depend on that view alone. None if the strategy has
 
 from __future__ import annotations
 
-from tf_lab.network.fusion.mlp import AverageFusion, PredictedFusion
-from tf_lab.network.fusion.strategy import Fusion
-from tf_lab.network.fusion.transformer import TransformerFusion
-from tf_lab.network.fusion.weights import weights_from_logits
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-STRATEGIES: dict[str, type[Fusion]] = {
-    "transformer": TransformerFusion,
-    "avg": AverageFusion,
-    "pred": PredictedFusion,
-}
+from tf_lab.network.fusion.settings import (
+    AverageSettings,
+    PredictedSettings,
+    TransformerSettings,
+)
+from tf_lab.support.registry import Part, Registry
 
-__all__ = [
-    "STRATEGIES",
-    "AverageFusion",
-    "Fusion",
-    "PredictedFusion",
-    "TransformerFusion",
-    "weights_from_logits",
-]
+if TYPE_CHECKING:
+    from tf_lab.network.fusion.strategy import Fusion
+
+
+@dataclass(frozen=True)
+class FusionPart(Part):
+    """A fusion strategy by name.
+
+    Attributes:
+        label: how a row of the tables tells it from the paper's transformer.
+    """
+
+    label: str = ""
+
+
+FUSIONS: Registry[FusionPart] = Registry("fusion", "strategy")
+FUSIONS.add(
+    FusionPart(
+        "transformer", "tf_lab.network.fusion.transformer:TransformerFusion", TransformerSettings
+    )
+)
+FUSIONS.add(
+    FusionPart(
+        "avg", "tf_lab.network.fusion.mlp:AverageFusion", AverageSettings, label="w/o TRSF, avg"
+    )
+)
+FUSIONS.add(
+    FusionPart(
+        "pred",
+        "tf_lab.network.fusion.mlp:PredictedFusion",
+        PredictedSettings,
+        label="w/o TRSF, pred",
+    )
+)
+
+
+def make_fusion(settings: Any, width: int, blocks: int, heads: int, expansion: float) -> Fusion:
+    """The strategy that settings (or a name, or a mapping) describe; sizes as of `Fusion`.
+
+    Raises:
+        TFLabError: there is none.
+    """
+    return FUSIONS.make(settings, width, blocks, heads, expansion)

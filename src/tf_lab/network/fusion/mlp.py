@@ -40,6 +40,8 @@ class ViewMLP(nn.Module):
 class AverageFusion(Fusion):
     """The mean of the views ("w/o TRSF, avg"). Has no preference among views."""
 
+    ranks_views = False
+
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
         super().__init__(width, blocks, heads, expansion)
         self.mlp = ViewMLP(width, blocks, expansion)

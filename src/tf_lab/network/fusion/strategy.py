@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 from torch import Tensor, nn
 
@@ -10,10 +11,16 @@ from torch import Tensor, nn
 class Fusion(nn.Module):
     """How the views of a voxel become one feature; see `tf_lab.network.fusion`.
 
+    Attributes:
+        ranks_views: whether it has `selection_logits`. Where it has none, what attention would
+            choose is chosen by chance.
+
     Args:
         width: D.
         blocks, heads, expansion: of the transformer; strategies without one match its size.
     """
+
+    ranks_views: ClassVar[bool] = True
 
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
         super().__init__()
@@ -24,4 +31,4 @@ class Fusion(nn.Module):
 
     @abstractmethod
     def selection_logits(self, tokens: Tensor) -> Tensor | None:
-        """What the weights are made of, [..., K, H]; None: no preference among views."""
+        """What the weights are made of, [..., K, H]; None if it does not rank views."""

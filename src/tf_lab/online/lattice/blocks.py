@@ -41,6 +41,13 @@ def offsets(edge: int, device: torch.device, start: int = 0) -> Tensor:
     return torch.cartesian_prod(axis, axis, axis)
 
 
+def voxels_in(lower: Tensor, upper: Tensor, voxel: float, device: torch.device) -> Tensor:
+    """Lattice coordinates int64 [P, 3] of all voxels that a box (metres) touches."""
+    low, high = (lower / voxel - 1e-4).floor().long(), (upper / voxel + 1e-4).floor().long() + 1
+    axes = zip(low.tolist(), high.tolist(), strict=True)
+    return torch.cartesian_prod(*(torch.arange(a, b, device=device) for a, b in axes))
+
+
 class Blocks:
     """Blocks of ``edge``^3 voxels, numbered in the order in which they were first seen.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from tf_lab.online.views.selection import Candidates, RandomSelection, SelectionPolicy
+from tf_lab.online.views.selection import Candidates, SelectionPolicy, without_logits
 
 
 class BatchSelection:
@@ -37,9 +37,7 @@ class BatchSelection:
         Returns:
             Views int64 [P, K] (any where a slot is empty) and which slots are filled [P, K].
         """
-        policy = self.policy
-        if policy.needs_logits and logits is None:
-            policy = RandomSelection(policy.seed)
+        policy = self.policy if logits is not None else without_logits(self.policy)
         P, V = valid.shape
         k = min(self.views, V)
         order = torch.arange(V, device=valid.device)

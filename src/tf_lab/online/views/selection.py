@@ -6,15 +6,14 @@ one is to go.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.errors import TFLabError
-from tf_lab.network.fusion import weights_from_logits
+from tf_lab.network.fusion.weights import weights_from_logits
 
 
 class Candidates(NamedTuple):
@@ -36,18 +35,21 @@ class Candidates(NamedTuple):
 
 
 class SelectionPolicy(Protocol):
-    """One signature for all policies.
+    """One signature for all policies: what they are made with is a seed, and their settings.
 
     Attributes:
-        name: in configs, files and the names of runs.
         seed: of what is random.
         needs_logits, needs_centers: whether these of the candidates are read.
     """
 
-    name: str
-    seed: int
-    needs_logits: bool
-    needs_centers: bool
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+
+    @property
+    def needs_logits(self) -> bool: ...  # noqa: D102
+
+    @property
+    def needs_centers(self) -> bool: ...  # noqa: D102
 
     def drop(self, candidates: Candidates) -> Tensor:
         """Which of its K + 1 measurements each voxel gives up: int64 [M]; K is the new one.
@@ -67,14 +69,18 @@ def slots(policy: SelectionPolicy, candidates: Candidates) -> Tensor:
     return torch.where(candidates.seen < k, candidates.seen, slot.masked_fill(slot == k, -1))
 
 
+def without_logits(policy: SelectionPolicy) -> SelectionPolicy:
+    """A policy for views that nothing ranks: random, of the same seed, if it needs a ranking."""
+    return RandomSelection(policy.seed) if policy.needs_logits else policy
+
+
+@dataclass(frozen=True)
 class AttentionSelection:
     """Drop the measurement with the lowest weight, then add the new one (paper, Sec. 3.4)."""
 
-    name = "attention"
-    needs_logits, needs_centers = True, False
-
-    def __init__(self, seed: int = 0) -> None:
-        self.seed = seed
+    seed: int = 0
+    needs_logits: ClassVar[bool] = True
+    needs_centers: ClassVar[bool] = False
 
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`. Of equals the first goes."""
@@ -82,6 +88,7 @@ class AttentionSelection:
         return weights_from_logits(candidates.logits[:, :-1], None).argmin(dim=1)
 
 
+@dataclass(frozen=True)
 class RandomSelection:
     """A uniformly random subset of all frames that saw the voxel ("RND").
 
@@ -89,11 +96,9 @@ class RandomSelection:
     function of (seed, voxel, count) alone, whatever the order in which voxels are processed.
     """
 
-    name = "random"
-    needs_logits, needs_centers = False, False
-
-    def __init__(self, seed: int = 0) -> None:
-        self.seed = seed
+    seed: int = 0
+    needs_logits: ClassVar[bool] = False
+    needs_centers: ClassVar[bool] = False
 
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`."""
@@ -102,6 +107,7 @@ class RandomSelection:
         return draw.long().clamp(max=k)
 
 
+@dataclass(frozen=True)
 class DiverseSelection:
     """A random subset that attention prefers, another at every voxel (ours).
 
@@ -118,12 +124,15 @@ class DiverseSelection:
         spread: share of the angle's logarithm; 0: none.
     """
 
-    name = "diverse"
-    needs_logits = True
+    seed: int = 0
+    attention: float = 0.3
+    spread: float = 0.0
+    needs_logits: ClassVar[bool] = True
 
-    def __init__(self, seed: int = 0, attention: float = 0.3, spread: float = 0.0) -> None:
-        self.seed, self.attention, self.spread = seed, attention, spread
-        self.needs_centers = spread > 0
+    @property
+    def needs_centers(self) -> bool:
+        """Only the angle needs them."""
+        return self.spread > 0
 
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`."""
@@ -170,21 +179,3 @@ def _mix(x: Tensor) -> Tensor:
 def _shift(x: Tensor, bits: int) -> Tensor:
     """Logical shift to the right of int64."""
     return (x >> bits) & ((1 << (64 - bits)) - 1)
-
-
-POLICIES: dict[str, Callable[[int], SelectionPolicy]] = {
-    "attention": AttentionSelection,
-    "random": RandomSelection,
-    "diverse": DiverseSelection,
-}
-
-
-def make_policy(name: str, seed: int) -> SelectionPolicy:
-    """The policy of a name.
-
-    Raises:
-        TFLabError: there is none.
-    """
-    if name not in POLICIES:
-        raise TFLabError(f"select.policy={name}: choose one of {', '.join(POLICIES)}")
-    return POLICIES[name](seed)

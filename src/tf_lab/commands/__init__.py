@@ -1,0 +1,1 @@
+"""What each command does, given its typed config; `tf_lab.cli.command` composes it."""

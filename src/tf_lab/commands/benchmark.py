@@ -1,0 +1,75 @@
+"""The paper's runtime tables on this machine, eager beside lazy, and what memory it takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from tf_lab.benchmarks.measure import BenchmarkSettings
+from tf_lab.benchmarks.report import draw, tables
+from tf_lab.benchmarks.suite import run_all
+from tf_lab.config.build import build_network, initialise_encoder, ready, reconstruction_settings
+from tf_lab.config.schema import BenchmarkConfig
+from tf_lab.config.stored import portable_config
+from tf_lab.errors import TFLabError
+from tf_lab.experiments.provenance import provenance, without_places
+from tf_lab.network.network import Network
+from tf_lab.support.devices import device_of
+from tf_lab.support.files import atomic_path, check_folder, write_json
+
+
+def run(config: BenchmarkConfig) -> None:
+    """Measure everything, print it, write table, JSON and chart."""
+    output = Path(config.output)
+    check_folder(output)
+    device = device_of(config.device)
+    torch.manual_seed(config.seed)
+    networks = {
+        used: _network(replace(config, filter=used), device).eval().requires_grad_(False)
+        for used in (True, False)
+    }
+    origin = provenance()  # of the code that runs, not of what HEAD becomes
+    origin["machine"]["threads"] = torch.get_num_threads()
+    if device.type == "cuda":
+        origin["machine"]["gpu"] = torch.cuda.get_device_name(device)
+    found = run_all(networks, _settings(config, device), config.views, config.eager)
+    results = without_places({"config": portable_config(config), "provenance": origin, **found})
+    text = tables(results)
+    print(text)
+    write_json(output / "benchmark.json", results)
+    with atomic_path(output / "benchmark.txt") as temporary:
+        temporary.write_text(text + "\n")
+    with atomic_path(output / "benchmark.png") as temporary:
+        draw(results, temporary)
+    print(f"{output}: benchmark.txt, benchmark.json, benchmark.png")
+
+
+def _network(config: BenchmarkConfig, device: torch.device) -> Network:
+    network = build_network(config)
+    initialise_encoder(network.encoder, config.encoder, config.model.name)
+    return ready(network, config.online, device)
+
+
+def _settings(config: BenchmarkConfig, device: torch.device) -> BenchmarkSettings:
+    for name in ("width", "height", "frames", "timed", "eager_timed"):
+        if getattr(config, name) < 1:
+            raise TFLabError(f"{name}={getattr(config, name)}: must be at least 1")
+    for name in ("views", "rooms", "counts"):
+        counts = getattr(config, name)
+        if not counts or min(counts) < 1:
+            raise TFLabError(f"{name}={counts}: give a list of numbers of at least 1")
+    reconstruction = reconstruction_settings(
+        config.online, config.resolution, views=max(config.views)
+    )
+    return BenchmarkSettings(
+        size=(config.width, config.height),
+        frames=config.frames,
+        timed=config.timed,
+        eager_timed=config.eager_timed,
+        warm_eager=device.type == "cuda" or config.online.compile,
+        rooms=tuple(config.rooms),
+        counts=tuple(config.counts),
+        reconstruction=reconstruction,
+    )

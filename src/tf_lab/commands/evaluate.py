@@ -1,0 +1,37 @@
+"""Evaluate meshes in the published layout."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import track
+
+from tf_lab.config.schema import EvaluateConfig
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import evaluate
+from tf_lab.evaluation.scores import format_table
+from tf_lab.support.files import check_file, write_json
+
+
+def run(config: EvaluateConfig) -> None:
+    """Print the paper's metrics of every scene and their mean; write them if asked to."""
+    predictions, groundtruth = Path(config.predictions), Path(config.groundtruth)
+    output = Path(config.output) if config.output is not None else None
+    if output is not None:
+        check_file(output)
+    bar = functools.partial(track, description="evaluating", console=Console(stderr=True))
+    result = evaluate(predictions, groundtruth, seed=config.seed, track=bar)
+    print(format_table([*result["scenes"].items(), ("mean", result["mean"])], first="Scene"))
+    if output is not None:
+        write_json(output, result)
+    if result["missing"]:
+        print("no prediction, scored as empty: " + ", ".join(result["missing"]))
+    if result["point_clouds"]:
+        print("no surface, scored by the points as they are: " + ", ".join(result["point_clouds"]))
+    for name, remark in result["wrong_scale"].items():
+        print(f"warning: {name} is {remark}")
+    if result["failed"]:
+        reasons = "; ".join(result["failed"].values())
+        raise TFLabError(f"{len(result['failed'])} scene(s) left out of the mean: {reasons}")

@@ -1,0 +1,153 @@
+"""The groups of settings that several commands share; those of parts lie beside the parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tf_lab.data.settings import ChunkSettings
+from tf_lab.errors import TFLabError
+from tf_lab.online.views import POLICIES
+from tf_lab.support.settings import lists_to_tuples, setting
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """The network's size (paper, Sec. 3)."""
+
+    name: str = setting(about="begins the names of trainings and runs", shapes="weights")
+    width: int = setting(about="D, of tokens, fused and refined features", shapes="weights")
+    blocks: int = setting(about="transformer blocks a level", shapes="weights")
+    heads: int = setting(about="of attention", shapes="weights")
+    expansion: float = setting(about="width of the feed-forward modules over D", shapes="weights")
+    hidden: int = setting(about="width of the occupancy perceptron", shapes="weights")
+    refine_blocks: int = setting(about="residual 3D-conv blocks a level", shapes="weights")
+    near: float = setting(about="metres; a view measures points from this depth", shapes="weights")
+    far: float = setting(about="metres; to this depth", shapes="weights")
+
+
+@dataclass(frozen=True)
+class InputSettings:
+    """What a token holds beside the image features."""
+
+    depth: bool = setting(True, "of the point in the view", shapes="weights")
+    ray: bool = setting(True, "from the camera to the point", shapes="weights")
+    matching: bool = setting(
+        False, "how the kept views' features compare at the point", shapes="weights"
+    )
+
+
+@dataclass(frozen=True)
+class TrainingSettings(ChunkSettings):
+    """How chunks are drawn, the losses, and when something is saved."""
+
+    sdf_weight: float = setting(0.0, "of the auxiliary signed-distance loss", shapes="weights")
+    maps_memory: float = setting(4.0, "GiB of feature maps kept if the encoder is frozen")
+    validate_every: int = setting(5000, "steps between scores of the val scenes; 0: never")
+    save_every: int = setting(1000, "steps between checkpoints to resume from")
+
+    @property
+    def chunk(self) -> ChunkSettings:
+        """How chunks are drawn, and nothing else; rules without weight are left out.
+
+        Raises:
+            TFLabError: no rule has any, or one is no policy of view selection.
+        """
+        rules = {name: w for name, w in self.rules.items() if w > 0 and POLICIES[name]}
+        if not rules:
+            raise TFLabError("training.rules: all weights are 0; give at least one rule some")
+        names = ChunkSettings.__dataclass_fields__
+        return ChunkSettings(**{**{name: getattr(self, name) for name in names}, "rules": rules})
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizerSettings:
+    """Adam and its schedule (paper, Sec. 3.5)."""
+
+    lr: float = setting(about="peak learning rate", shapes="weights")
+    betas: tuple[float, float] = setting((0.9, 0.999), "decay of both moments", shapes="weights")
+    eps: float = setting(1e-8, "added to the denominator", shapes="weights")
+    weight_decay: float = setting(about="L2, added to the gradient", shapes="weights")
+    schedule: str = setting(
+        about="after the warm-up: inverse_sqrt, or cosine (to 0 at the last step)",
+        shapes="weights",
+    )
+    warmup: int = setting(about="steps of linear warm-up", shapes="weights")
+    steps: int = setting(
+        about="in all; more: inverse_sqrt goes on from a finished training, cosine by init=",
+        shapes="weights",
+    )
+    clip: float = setting(about="largest gradient norm; 0: any", shapes="weights")
+    encoder_factor: float = setting(
+        about="the encoder's learning rate over the others'; 0: frozen", shapes="weights"
+    )
+
+    def __post_init__(self) -> None:
+        lists_to_tuples(self)
+        if self.schedule not in ("inverse_sqrt", "cosine"):
+            raise TFLabError(f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine")
+
+
+@dataclass(frozen=True)
+class TrainerSettings:
+    """On what and how a training computes: arguments of lightning.Trainer, and two of ours."""
+
+    accelerator: str = setting("auto", "auto, cpu, gpu")
+    devices: Any = setting(1, "how many, or auto: all", shapes="weights")
+    precision: str = setting("32-true", "or bf16-mixed, 16-mixed", shapes="weights")
+    strategy: str = setting("auto", "ddp for several devices")
+    compile: bool = setting(False, "torch.compile")
+    workers: int = setting(1, "loader processes a device")
+    others: dict[str, Any] = setting(
+        {},
+        "more arguments of lightning.Trainer, as +trainer.others.max_time=00:08:00:00",
+        shapes="weights",
+    )
+
+
+@dataclass(frozen=True)
+class OnlineSettings:
+    """How reconstructions compute: memory and speed.
+
+    The mesh changes only by what low precision rounds, so precision makes another evaluation.
+    """
+
+    precision: str = setting(
+        "float32",
+        "of networks and feature maps: float32, float16, bfloat16; auto: bfloat16 on a GPU, else "
+        "float32",
+        shapes="scores",
+    )
+    maps_device: str = setting(
+        "auto", "where feature maps are kept: auto (with the network), cpu, cuda"
+    )
+    maps_budget: float | None = setting(
+        None,
+        "GiB that they may take; what has no room is encoded again when needed. null: all are kept",
+    )
+    batch: int = setting(8192, "voxels fused at a time")
+    compile: bool = setting(
+        False,
+        "torch.compile of encoder and fusion: minutes first, and no gain for model=paper on a CPU",
+    )
+
+
+@dataclass(frozen=True)
+class InferenceSettings:
+    """How a network reconstructs; nothing here, and in select and online, trains another one."""
+
+    views: int = setting(16, "K, measurements kept a voxel", shapes="scores")
+    resolution: float = setting(0.02, "metres, marching cubes", shapes="scores")
+    threshold: float = setting(0.5, "of the near-surface masks", shapes="scores")
+    keyframe_distance: float = setting(
+        0.1, "DeepVideoMVS' combined pose distance; 0: every frame", shapes="scores"
+    )
+
+
+@dataclass(frozen=True)
+class LoggerSettings:
+    """Where losses and scores are logged, beside metrics.csv."""
+
+    kind: str = setting("csv", "set it by logger=")
+    project: str = setting("tf_lab", "of Weights & Biases")
+    offline: bool = setting(False, "true keeps runs in the training's folder")

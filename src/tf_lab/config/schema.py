@@ -1,0 +1,278 @@
+"""The schema: every command's settings, typed and documented, as Hydra composes them.
+
+A group whose parts are interchangeable (data, encoder, fusion, select) is typed by the part that
+is chosen; their settings are options of the group by being registered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, is_dataclass
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from tf_lab.config.groups import (
+    InferenceSettings,
+    InputSettings,
+    LoggerSettings,
+    ModelSettings,
+    OnlineSettings,
+    OptimizerSettings,
+    TrainerSettings,
+    TrainingSettings,
+)
+from tf_lab.data.reading import ReadSettings
+from tf_lab.data.settings import PhotometricSettings
+from tf_lab.data.sources import SOURCES
+from tf_lab.data.sources.settings import Content
+from tf_lab.network.encoders import ENCODERS
+from tf_lab.network.fusion import FUSIONS
+from tf_lab.online.views import POLICIES
+from tf_lab.support.registry import Registry
+from tf_lab.support.settings import setting
+
+PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """What a network is made of."""
+
+    encoder: Any = MISSING
+    model: ModelSettings = MISSING
+    fusion: Any = MISSING
+    inputs: InputSettings = field(default_factory=InputSettings)
+    refine: bool = setting(True, "spatial refinement by 3D CNNs", shapes="weights")
+    filter: bool = setting(True, "coarse-to-fine filtering by near-surface masks", shapes="weights")
+
+
+@dataclass(frozen=True)
+class TrainConfig(InferenceSettings, NetworkSettings):
+    """python -m tf_lab.train"""
+
+    data: Any = MISSING
+    select: Any = MISSING
+    online: OnlineSettings = field(default_factory=OnlineSettings)
+    optimizer: OptimizerSettings = MISSING
+    training: TrainingSettings = MISSING
+    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    logger: LoggerSettings = field(default_factory=LoggerSettings)
+    launcher: Any = None
+    seed: int = setting(0, "of weights, chunks and random choices", shapes="weights")
+    init: str | None = setting(
+        None,
+        "start from these weights (a run's model.safetensors, or shipped), or go on from this "
+        "state (its last.ckpt) up to optimizer.steps",
+        kind="path",
+    )
+    output: str = setting("outputs", "trainings/ and runs/ are made in it", kind="path")
+    content: Content = field(default_factory=Content)
+
+
+@dataclass(frozen=True)
+class PretrainConfig:
+    """python -m tf_lab.pretrain"""
+
+    data: Any = MISSING
+    encoder: Any = MISSING
+    model: ModelSettings = MISSING
+    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    training: Any = None
+    optimizer: Any = None
+    seed: int = setting(0, "of weights and pairs")
+    steps: int = setting(3000, "in all")
+    lr: float = setting(3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0")
+    trunk_factor: float | None = setting(
+        None,
+        "the trunk's learning rate over the pyramid's; null: 0 (frozen) if it starts from "
+        "ImageNet, else 1",
+    )
+    temperature: float = setting(0.07, "of the softmax over candidates")
+    pairs: int = setting(8, "of images a step")
+    points: int = setting(320, "correspondences a pair")
+    epipolar: int = setting(8, "wrong candidates along a point's epipolar line")
+    jitter: float = setting(
+        0.7, "deviation of a true pixel in training, pixels: real poses are never exact"
+    )
+    augment: PhotometricSettings = setting(
+        PhotometricSettings(
+            exposure=1.0,
+            white_balance=0.25,
+            blur=1.2,
+            motion=5.0,
+            noise=0.04,
+            gamma=0.25,
+            contrast=0.25,
+            jpeg=40,
+        )
+    )
+    real: str | None = setting(
+        None, "a capture with depth: scored beside the val split, never trained on", kind="path"
+    )
+    validate_every: int = setting(1000, "steps")
+    output: str = setting(
+        "outputs/encoders/${model.name}-${encoder.name}-encoder.safetensors",
+        "for encoder.weights=FILE",
+        kind="path",
+    )
+
+
+@dataclass(frozen=True)
+class PrepareConfig:
+    """python -m tf_lab.prepare"""
+
+    data: Any = MISSING
+    encoder: Any = MISSING
+    model: ModelSettings = MISSING
+    optimizer: Any = None
+    training: TrainingSettings = MISSING
+    splits: list[str] = setting(["train", "val", "test"], "which to prepare")
+    seed: int = setting(0, "of the shards' chunks")
+    shards: str | None = setting(
+        None, "a folder: the training chunks go there, too, as webdataset shards", kind="path"
+    )
+    shard_chunks: int = setting(10000, "in all")
+    shard_size: int = setting(64, "chunks a shard")
+    check: bool = setting(True, "warn of captures whose cameras are clearly wrong")
+    pictures: bool = setting(False, "draw each scene's frames and ground truth, to look at")
+
+
+@dataclass(frozen=True)
+class ReconstructConfig(InferenceSettings, ReadSettings):
+    """python -m tf_lab.reconstruct"""
+
+    data: Any = MISSING
+    select: Any = MISSING
+    online: OnlineSettings = field(default_factory=OnlineSettings)
+    input: str | None = setting(
+        None,
+        "posed images (a folder, .sens, transforms.json, video); the layout is detected",
+        kind="path",
+    )
+    checkpoint: str | None = setting(
+        None,
+        "model.safetensors of a training run; null: the one that comes with tf_lab",
+        kind="path",
+    )
+    output: str | None = setting(
+        None, "the mesh; null: outputs/reconstructions/<path of the input>.ply", kind="path"
+    )
+    check: bool = setting(
+        True, "warn of cameras that are clearly wrong (python -m tf_lab.check says more)"
+    )
+    source_frame: bool = setting(
+        False, "write the mesh in the source's world instead of the z-up one"
+    )
+    seed: int = setting(0, "of select=rnd")
+    device: str = setting("auto", "auto, cpu, cuda")
+
+
+@dataclass(frozen=True)
+class CheckConfig(ReadSettings):
+    """python -m tf_lab.check"""
+
+    input: str = setting(
+        MISSING,
+        "posed images (a folder, .sens, transforms.json, video), as for reconstruct",
+        kind="path",
+    )
+    output: str | None = setting(None, "a folder for check.json and check.png", kind="path")
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """python -m tf_lab.evaluate"""
+
+    predictions: str = setting(MISSING, "folder of <scene>.ply", kind="path")
+    groundtruth: str = setting(
+        MISSING, "folder of <scene>/{mesh_gt.ply,occlusion_mask.npy,world2grid.txt}", kind="path"
+    )
+    output: str | None = setting(None, "metrics as JSON", kind="path")
+    seed: int = setting(0, "of the points sampled on the predicted meshes")
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """python -m tf_lab.report"""
+
+    runs: Any = setting(
+        "outputs/runs", "a folder of runs, or a list of such", kind="path", several=True
+    )
+    output: str = setting("outputs/report", "tables, charts and pictures", kind="path")
+    study: str | None = setting(
+        None, "key of the study, where the runs are of several; null: the one with most runs"
+    )
+    pictures: bool = setting(
+        True, "draw each test scene under every row, where the runs have meshes"
+    )
+    keep: bool = setting(False, "copy the runs' small files to OUTPUT/runs, to be committed")
+
+
+@dataclass(frozen=True)
+class BenchmarkConfig(NetworkSettings):
+    """python -m tf_lab.benchmark"""
+
+    optimizer: Any = None
+    training: Any = None
+    online: OnlineSettings = field(default_factory=lambda: OnlineSettings(precision="auto"))
+    device: str = setting("auto", "auto, cpu, cuda")
+    width: int = setting(640, "pixels")
+    height: int = setting(480, "pixels")
+    frames: int = setting(20, "added to every room before anything is timed")
+    timed: int = setting(20, "frames over which lazy fusion is timed")
+    eager_timed: int = setting(2, "the same for eager fusion, which takes much longer")
+    eager: bool = setting(True, "false leaves the eager measurements out")
+    views: list[int] = setting([4, 8, 16], "K, views kept a voxel")
+    rooms: list[int] = setting([1, 2, 4, 8], "scene sizes")
+    counts: list[int] = setting([10, 500], "frames already there")
+    resolution: float = setting(0.02, "metres, marching cubes")
+    seed: int = setting(0, "of the networks' weights")
+    output: str = setting("outputs/benchmark", "a folder for table, JSON and chart", kind="path")
+
+
+COMMANDS: dict[str, type] = {
+    "train": TrainConfig,
+    "pretrain": PretrainConfig,
+    "prepare": PrepareConfig,
+    "reconstruct": ReconstructConfig,
+    "check": CheckConfig,
+    "evaluate": EvaluateConfig,
+    "report": ReportConfig,
+    "benchmark": BenchmarkConfig,
+}
+OPTIONS: dict[tuple[str, str], type] = {
+    ("inputs", "all"): InputSettings,
+    ("trainer", "auto"): TrainerSettings,
+}
+"""Options of groups that are no parts, as schemas."""
+
+
+def register() -> None:
+    """Make the schemas and the settings of all parts known to Hydra.
+
+    Raises:
+        TFLabError: parts of another package cannot be imported.
+    """
+    store = ConfigStore.instance()
+    for name, schema in COMMANDS.items():
+        store.store(group="schema", name=name, node=node_of(schema))
+    for (group, option), settings in OPTIONS.items():
+        store.store(group=group, name=option, node=node_of(settings))
+    for parts in PARTS:
+        for part in parts:
+            store.store(group=parts.group, name=part.choice, node=node_of(part.settings))
+
+
+def node_of(schema: type) -> DictConfig:
+    """A structured config that Hydra may fill in, although the dataclass is frozen."""
+    node = OmegaConf.structured(schema)
+    OmegaConf.set_readonly(node, None)
+    for key in node:
+        inner = node._get_node(key)
+        if isinstance(inner, DictConfig) and is_dataclass(kind := inner._metadata.ref_type):
+            if inner._is_missing():
+                node[key] = node_of(kind)
+            else:
+                OmegaConf.set_readonly(inner, None)
+    return node

@@ -1,0 +1,92 @@
+"""Configs in files: written beside a run, read again by this version or a later one."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf.errors import OmegaConfBaseException
+
+from tf_lab.config.schema import PARTS, TrainConfig
+from tf_lab.config.typed import typed
+from tf_lab.errors import TFLabError
+from tf_lab.support.files import atomic_path
+
+
+def write_config(config: TrainConfig, path: Path, portable: bool = False) -> None:
+    """Save a config; its scenes, which may be many, are in ``run.json``."""
+    values = portable_config(config) if portable else _plain(config)
+    with atomic_path(path) as temporary:
+        temporary.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def portable_config(config: Any) -> dict[str, Any]:
+    """A config as it may travel with a checkpoint: without the paths of this machine."""
+    return _plain(config, without_paths=True)
+
+
+def _plain(settings: Any, without_paths: bool = False) -> dict[str, Any]:
+    plain: dict[str, Any] = {}
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if is_dataclass(value):
+            plain[field.name] = _plain(value, without_paths)
+        elif not (without_paths and field.metadata.get("kind") == "path"):
+            plain[field.name] = list(value) if isinstance(value, tuple) else value
+    if "scenes" in plain.get("content", {}):
+        del plain["content"]["scenes"]
+    return plain
+
+
+def read_config(path: Path) -> TrainConfig:
+    """The config of a training or a run, of this version or an older one.
+
+    Raises:
+        TFLabError: it is missing, damaged, or of a version that had other settings.
+    """
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
+    except (ValueError, yaml.YAMLError) as error:
+        raise TFLabError(f"{path}: damaged ({type(error).__name__})") from error
+    if not isinstance(values, dict):
+        raise TFLabError(f"{path}: damaged (not a mapping)")
+    try:
+        return typed(TrainConfig, _with_places(upgraded(values)))
+    except (OmegaConfBaseException, KeyError, TypeError, AttributeError) as error:
+        reason = str(error).splitlines()[0]
+        raise TFLabError(f"{path}: has other settings than this version ({reason})") from error
+
+
+def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of an older version's config as this version has them."""
+    new = copy.deepcopy(dict(values))
+    data, training, encoder = new["data"], new["training"], new["encoder"]
+    content = dict(new.pop("digests", {}))
+    if "version" in data:
+        content["versions"] = data.pop("version")
+    if (shards := data.pop("identity", None)) is not None:
+        content["shards"] = shards
+    if content:
+        new["content"] = content
+    encoder.setdefault("name", "resnet")
+    if "ranked" in training:  # the share of steps whose views were kept by attention
+        share = training.pop("ranked")
+        training["rules"] = {"attention": share, "random": 1 - share}
+        training["seen_by"] = training["images"]
+    return new
+
+
+def _with_places(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with empty paths where a portable config has none."""
+    for parts in PARTS:
+        group = values[parts.group]
+        for field in fields(parts[group[parts.key]].settings):
+            if field.metadata.get("kind") == "path" and not field.metadata["several"]:
+                group.setdefault(field.name, "")
+    return values

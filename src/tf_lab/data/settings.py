@@ -1,0 +1,56 @@
+"""Settings of drawing training chunks and of changing images; what uses them is beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tf_lab.support.settings import lists_to_tuples, setting
+
+
+@dataclass(frozen=True)
+class ChunkSettings:
+    """How chunks are drawn (paper, Sec. 3.5)."""
+
+    chunks: int = setting(4, "1.5 m pieces of scenes a step and device", shapes="weights")
+    images: int = setting(
+        8, "random images a chunk, the candidates of its voxels", shapes="weights"
+    )
+    views: tuple[int, ...] = setting(
+        (),
+        "K_t, valid images kept a voxel, as at test time: one of these numbers a step; []: all "
+        "images, valid or not (paper)",
+        shapes="weights",
+    )
+    rules: dict[str, float] = setting(
+        {"random": 1.0},
+        "by which policies they are kept: weights, one drawn a step",
+        shapes="weights",
+    )
+    points: int = setting(1000, "occupancy samples a chunk", shapes="weights")
+    near_share: float = setting(0.8, "of them within 10 cm of the surface", shapes="weights")
+    coverage: float = setting(
+        0.3, "least share of a chunk that an image should see", shapes="weights"
+    )
+    seen_by: int = setting(
+        8, "images that must; where there are no more, the best others fill up", shapes="weights"
+    )
+    augment: bool = setting(
+        True, "chunks turned about the vertical by random angles", shapes="weights"
+    )
+
+    def __post_init__(self) -> None:
+        lists_to_tuples(self)
+
+
+@dataclass(frozen=True)
+class PhotometricSettings:
+    """How strong each effect on an image is at most; 0 (jpeg: 100) is none of it."""
+
+    exposure: float = setting(0.0, "stops (factors of two in linear light)")
+    white_balance: float = setting(0.0, "logarithm of the gains of red and blue (linear light)")
+    blur: float = setting(0.0, "deviation of a Gaussian, pixels; in half of the images")
+    motion: float = setting(0.0, "length of a motion blur, pixels; in a quarter of the images")
+    noise: float = setting(0.0, "deviation of the sensor's noise, of a range of 0..1")
+    gamma: float = setting(0.0, "logarithm of the exponent of the stored values")
+    contrast: float = setting(0.0, "logarithm of the gain about the image's mean")
+    jpeg: int = setting(100, "lowest quality; in half of the images")

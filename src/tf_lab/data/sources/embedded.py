@@ -1,0 +1,145 @@
+"""The embedded data sets: scenes rendered once into a cache, with ground truth from their depth."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+from tf_lab.data import flats, groundtruth, rooms, scene
+from tf_lab.data.flats import generate_flat
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
+from tf_lab.data.rooms import RoomSettings, generate_room
+from tf_lab.data.scene import Frame, write_scene
+from tf_lab.data.sources.settings import Content, EmbeddedData
+from tf_lab.data.sources.source import DataSource, Prepared
+from tf_lab.support.tasks import SceneJob, prepare_scenes
+
+FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
+
+
+@dataclass(frozen=True)
+class EmbeddedSplit:
+    """How many scenes a split has and how they are filmed."""
+
+    size: int
+    settings: RoomSettings
+
+
+@dataclass(frozen=True)
+class EmbeddedSet:
+    """A data set that is made from seeds.
+
+    Attributes:
+        name: of the data group; a plural.
+        version: changes whenever the output for the same seed does.
+        generate: films the scene of a seed.
+    """
+
+    name: str
+    version: int
+    generate: Callable[[int, RoomSettings], Iterator[Frame]]
+
+    def scene_name(self, seed: int) -> str:
+        """As in ``room_0000003``."""
+        return f"{self.name.removesuffix('s')}_{seed:07d}"
+
+    def directory(self, root: Path, split: str, index: int, settings: RoomSettings) -> Path:
+        """Where a scene lies: all that shapes it is in the path, so a cache never goes stale."""
+        versions = [self.version, scene.FORMAT, groundtruth.VERSION]
+        identity = json.dumps([*versions, asdict(settings), asdict(GroundTruthSettings())])
+        key = hashlib.sha256(identity.encode()).hexdigest()[:10]
+        return root / f"{self.name}-{key}" / split / self.scene_name(FIRST_SEED[split] + index)
+
+    def build(self, directory: Path, seed: int, settings: RoomSettings) -> None:
+        """Render a scene and its ground truth into a directory (see `scene`, `groundtruth`)."""
+        provenance = {
+            "source": self.name,
+            "seed": seed,
+            "version": self.version,
+            **asdict(settings),
+        }
+        frames = self.generate(seed, settings)
+        made = write_scene(directory, frames, provenance, name=self.scene_name(seed))
+        write_groundtruth(made, made.groundtruth, GroundTruthSettings())
+
+    def prepare(
+        self, root: Path, splits: Mapping[str, EmbeddedSplit], workers: int | None = None
+    ) -> dict[str, list[Path]]:
+        """Render what is missing and return the scene directories of each split.
+
+        Args:
+            root: the cache.
+            splits: by name: "train", "val", "test".
+            workers: processes; None: one a core.
+        """
+        found: dict[str, list[Path]] = {}
+        jobs = []
+        for split, wanted in splits.items():
+            settings = wanted.settings
+            found[split] = [self.directory(root, split, i, settings) for i in range(wanted.size)]
+            for seed, directory in enumerate(found[split], FIRST_SEED[split]):
+                build = partial(self.build, seed=seed, settings=settings)
+                jobs.append(SceneJob(directory, build))
+        prepare_scenes(jobs, f"rendering {self.name}", workers)
+        return found
+
+
+ROOMS = EmbeddedSet("rooms", rooms.VERSION, generate_room)
+FLATS = EmbeddedSet("flats", flats.VERSION, generate_flat)
+
+
+class EmbeddedSource(DataSource):
+    """Scenes of an embedded set, of which none can fail."""
+
+    made: EmbeddedSet
+    settings: EmbeddedData
+
+    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
+        """See `DataSource`."""
+        wanted = {split: EmbeddedSplit(self._size(split), self._filming(split)) for split in splits}
+        found = self.made.prepare(self.root, wanted, self.settings.workers)
+        scenes = {split: {path.name: path for path in paths} for split, paths in found.items()}
+        lines = [
+            f"{split}: {len(paths)} {self.made.name} in {paths[0].parent}"
+            for split, paths in found.items()
+            if paths
+        ]
+        return Prepared(scenes, {}, "\n".join(lines))
+
+    def has(self, split: str) -> bool:
+        """See `DataSource`."""
+        return self._size(split) > 0
+
+    def content(self) -> Content:
+        """See `DataSource`."""
+        versions = {"groundtruth": groundtruth.VERSION, self.made.name: self.made.version}
+        return Content(versions, shards=self.shards())
+
+    def directory(self, name: str, digest: str | None) -> Path:
+        """See `DataSource`."""
+        index = int(name.rpartition("_")[2]) - FIRST_SEED["test"]
+        return self.made.directory(self.root, "test", index, self._filming("test"))
+
+    def _size(self, split: str) -> int:
+        s = self.settings
+        return {"train": s.size, "val": s.val_size, "test": s.test_size}[split]
+
+    def _filming(self, split: str) -> RoomSettings:
+        s = self.settings
+        return RoomSettings(s.width, s.height, s.frames if split == "train" else s.test_frames)
+
+
+class RoomSource(EmbeddedSource):
+    """Synthetic rooms."""
+
+    made = ROOMS
+
+
+class FlatSource(EmbeddedSource):
+    """Synthetic flats."""
+
+    made = FLATS

@@ -1,0 +1,139 @@
+"""Settings of the data sources that come with tf_lab, and what is found out about their data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tf_lab.data.reading import AS_STATED, ReadSettings
+from tf_lab.support.settings import setting
+
+CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:HOME,.}/.cache/tf_lab}"
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is in the data and the files that a run uses; found out when it starts.
+
+    What is the same by content is the same data, wherever it lies.
+    """
+
+    versions: dict[str, int] = setting(
+        {}, "of what makes embedded data and ground truth", shapes="weights"
+    )
+    train: str | None = setting(None, "digest of the training scenes", shapes="weights")
+    test: str | None = setting(None, "digest of the test scenes", shapes="scores")
+    shards: str | None = setting(None, "digest of the shards", shapes="weights")
+    init: str | None = setting(None, "digest of what training starts from", shapes="weights")
+    encoder: str | None = setting(None, "digest of the encoder's first weights", shapes="weights")
+    scenes: dict[str, dict[str, str]] = setting(
+        {}, "digests of captures' scenes, by split and name"
+    )
+
+
+@dataclass(frozen=True)
+class EmbeddedData:
+    """Scenes of our own, rendered on first use into a cache."""
+
+    name: str
+    root: str = setting(CACHE, "the cache", kind="path")
+    size: int = setting(32, "training scenes; hundreds for a real study", shapes="weights")
+    val_size: int = setting(1, "val scenes, for the score while training")
+    test_size: int = setting(4, "test scenes", shapes="scores")
+    width: int = setting(160, "pixels", shapes="weights")
+    height: int = setting(120, "pixels", shapes="weights")
+    frames: int = setting(128, "of a training scene", shapes="weights")
+    test_frames: int = setting(260, "of a val or test scene", shapes="scores")
+    workers: int | None = setting(None, "rendering processes; null: one a core")
+
+
+@dataclass(frozen=True)
+class RoomsData(EmbeddedData):
+    """Synthetic rooms, rendered on first use into the cache."""
+
+    name: str = setting("rooms", "set it by data=", shapes="weights")
+
+
+@dataclass(frozen=True)
+class FlatsData(EmbeddedData):
+    """Synthetic flats of one to five rooms, rendered on first use into the cache."""
+
+    name: str = setting("flats", "set it by data=", shapes="weights")
+    frames: int = setting(70, "of a training flat, for each of its rooms", shapes="weights")
+    test_frames: int = setting(230, "of a val or test flat, for each of its rooms", shapes="scores")
+
+
+@dataclass(frozen=True)
+class ShardsData(RoomsData):
+    """Chunks from shards, which `prepare ... shards=DIR` writes; val and test scenes are rooms."""
+
+    name: str = setting("shards", "set it by data=", shapes="weights")
+    urls: Any = setting(
+        None,
+        "DIR, https://host/DIR/, 'DIR/chunks-{000000..000031}.tar', or a list of such",
+        kind="path",
+        several=True,
+    )
+    shuffle: bool = setting(True, "an order of its own for every epoch", shapes="weights")
+
+
+@dataclass(frozen=True)
+class PreparedData:
+    """Scenes that are prepared from captures: from what a camera recorded."""
+
+    name: str
+    root: str
+    scenes: str = setting("${.root}/tf_lab", "where the prepared scenes go", kind="path")
+    width: int = setting(640, "pixels", shapes="weights")
+    height: int = setting(480, "pixels", shapes="weights")
+    keyframe_distance: float = setting(
+        0.1, "pose distance between stored frames; 0: all", shapes="weights"
+    )
+    size: int | None = setting(None, "use so many of the training scenes; null: all")
+    val_size: int | None = setting(None, "the same of the val scenes")
+    test_size: int | None = setting(None, "the same of the test scenes")
+    workers: int | None = setting(None, "processes, one a scene; null: one a core")
+    memory: float = setting(1.0, "GiB a process may take for depth fusion")
+    urls: Any = setting(
+        None, "shards to train on instead of the training scenes", kind="path", several=True
+    )
+    shuffle: bool = setting(
+        True, "of shards: an order of its own for every epoch", shapes="weights"
+    )
+
+    @property
+    def read(self) -> ReadSettings:
+        """How the captures are read."""
+        return AS_STATED
+
+
+@dataclass(frozen=True)
+class CapturesData(ReadSettings, PreparedData):
+    """Your own posed RGB-D captures, each a folder (or file) in a layout of docs/data.md."""
+
+    name: str = setting("captures", "set it by data=", shapes="weights")
+    root: str = setting("???", "the folder that holds the captures", kind="path")
+    train: Any = setting(
+        None,
+        "scene names, or a text file with one a line; null: all but val and test",
+        kind="source",
+        several=True,
+    )
+    val: Any = setting([], "the same, for the score while training", kind="source", several=True)
+    test: Any = setting(
+        [], "the same; without a test scene there is no score", kind="source", several=True
+    )
+
+    @property
+    def read(self) -> ReadSettings:
+        """How the captures are read."""
+        return ReadSettings.part_of(self)
+
+
+@dataclass(frozen=True)
+class ScanNetData(PreparedData):
+    """ScanNet v2 with the official splits, as in the paper. docs/data.md says what to download."""
+
+    name: str = setting("scannet", "set it by data=", shapes="weights")
+    root: str = setting("data/scannet", "holds scans/ and scans_test/", kind="path")
+    val_size: int | None = setting(10, "of 312, for the score while training; null: all")

@@ -1,0 +1,136 @@
+"""What a data source is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tf_lab.data.chunk_sampler import ChunkSampler
+from tf_lab.data.chunks import ChunkSource
+from tf_lab.data.settings import ChunkSettings
+from tf_lab.data.shard_set import open_shards
+from tf_lab.data.shard_stream import ShardSource
+from tf_lab.data.sources import SOURCES
+from tf_lab.data.sources.settings import Content
+from tf_lab.errors import TFLabError
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What preparing the scenes of some splits gave.
+
+    Attributes:
+        scenes: directories by split and name.
+        failed: why which scene could not be made.
+        summary: what was made, skipped and why, as text; "": nothing to say.
+    """
+
+    scenes: dict[str, dict[str, Path]]
+    failed: dict[str, str]
+    summary: str = ""
+
+
+class DataSource(ABC):
+    """Where the scenes of the splits "train", "val" and "test" come from.
+
+    A scene is a directory that `tf_lab.data.scene.write_scene` wrote, with its ground truth
+    (`tf_lab.data.groundtruth.write_groundtruth`).
+
+    Args:
+        settings: of this source, with at least ``name`` and ``root``.
+        content: what was found in the data when the run began; then exactly that is used,
+            whatever happens to the data meanwhile.
+    """
+
+    def __init__(self, settings: Any, content: Content | None = None) -> None:
+        self.settings, self.known = settings, content or Content()
+
+    @property
+    def root(self) -> Path:
+        """Where the data lies."""
+        return Path(self.settings.root).expanduser()
+
+    @abstractmethod
+    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
+        """Make the scenes of splits that are missing or outdated; one that fails stops no other.
+
+        Args:
+            splits: of "train", "val" and "test".
+            check: whether to look for cameras that are clearly wrong.
+        """
+
+    @abstractmethod
+    def has(self, split: str) -> bool:
+        """Whether a split has a scene, made or still to be made.
+
+        Raises:
+            TFLabError: those asked for are not there.
+        """
+
+    @abstractmethod
+    def content(self) -> Content:
+        """What is in the data. Makes the scenes first where that says it.
+
+        Raises:
+            TFLabError: the scenes cannot be made, or the shards not be opened.
+        """
+
+    @abstractmethod
+    def directory(self, name: str, digest: str | None) -> Path:
+        """Where a test scene lies, if it has been made on this machine.
+
+        Args:
+            name: of the scene.
+            digest: of its sources, as the run has it (`Content.scenes`).
+        """
+
+    def scenes(self, *splits: str) -> dict[str, dict[str, Path]]:
+        """Scene directories by split and name, made first if they are missing.
+
+        Raises:
+            TFLabError: a split has scenes, and none can be made.
+        """
+        return self.prepare(splits).scenes
+
+    def shards(self) -> str | None:
+        """The digest of the shards that training uses; None: it uses the training scenes.
+
+        Raises:
+            TFLabError: they cannot be opened.
+        """
+        urls = getattr(self.settings, "urls", None)
+        return open_shards(urls).identity if urls else None
+
+    def chunks(self, settings: ChunkSettings, near: float, far: float) -> ChunkSource:
+        """Where training chunks come from: the shards ``data.urls``, or the training scenes.
+
+        Args:
+            settings: how chunks are drawn.
+            near: least depth at which a view measures, metres.
+            far: greatest, metres.
+
+        Raises:
+            TFLabError: the shards cannot be opened, or the scenes not be made.
+        """
+        if urls := getattr(self.settings, "urls", None):
+            return ShardSource(urls, settings, near, far, self.settings.shuffle)
+        return self.sampler(settings, near, far)
+
+    def sampler(self, settings: ChunkSettings, near: float, far: float) -> ChunkSampler:
+        """Draws chunks of the training scenes, which are made first if they are missing."""
+        scenes = self.scenes("train")["train"]
+        return ChunkSampler([*scenes.values()], settings, near, far)
+
+
+def open_source(settings: Any, content: Content | None = None) -> DataSource:
+    """The data source of settings; arguments as of `DataSource`.
+
+    Raises:
+        TFLabError: shards without ``data.urls``.
+    """
+    if settings.name == "shards" and not settings.urls:
+        raise TFLabError("data.urls is missing; give the folder or the pattern of the shards")
+    return SOURCES.named(settings).load()(settings, content)

@@ -1,0 +1,67 @@
+"""Settings of the encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from tf_lab.errors import TFLabError
+from tf_lab.support.settings import setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderSettings:
+    """What all kinds have: where weights come from, and the maps, whose size the model sets."""
+
+    name: str = setting(about="the kind of encoder", shapes="weights")
+    weights: str = setting(
+        "imagenet",
+        "to start from: imagenet, rooms (ours, pre-trained on the rooms), none, or a file",
+        shapes="weights",
+        kind="source",
+    )
+    coarse_stride: int = setting(
+        about="image pixels a pixel of the coarse map; a stride that a stage has", shapes="weights"
+    )
+    fine_stride: int = setting(about="of the fine map", shapes="weights")
+    coarse_channels: int = setting(about="of the coarse map", shapes="weights")
+    fine_channels: int = setting(about="of the fine map", shapes="weights")
+    unit_norm: bool = setting(about="features scaled to length sqrt(channels)", shapes="weights")
+
+    def architecture(self) -> dict[str, Any]:
+        """All but what the weights start from: what `make_encoder` takes."""
+        names = [field.name for field in fields(self) if field.name != "weights"]
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResNetSettings(EncoderSettings):
+    """ResNet (He et al. 2016), as in the paper."""
+
+    name: str = setting("resnet", "the kind of encoder", shapes="weights")
+    width: int = setting(64, "channels of the stem, doubled at every stage", shapes="weights")
+    blocks: list[int] = setting([2, 2, 2, 2], "a stage", shapes="weights")
+    stem_stride: int = setting(2, "of the first convolution", shapes="weights")
+    stem_pool: bool = setting(True, "max-pooling of stride 2 after it", shapes="weights")
+    norm: str = setting(
+        "batch",
+        "batch (as ImageNet's weights need it) or group (for small batches)",
+        shapes="weights",
+    )
+
+    def __post_init__(self) -> None:
+        if self.norm not in ("batch", "group"):
+            raise TFLabError(f"encoder.norm={self.norm}: choose batch or group")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EfficientNetLite0Settings(EncoderSettings):
+    """EfficientNet-Lite0 (Tan and Le 2019), which knows photographs."""
+
+    name: str = setting("efficientnet_lite0", "the kind of encoder", shapes="weights")
+    top_stride: int = setting(16, "where the trunk ends: 16 or 32", shapes="weights")
+    pyramid_channels: int = setting(64, "channels inside the pyramid", shapes="weights")
+
+    def __post_init__(self) -> None:
+        if self.top_stride not in (16, 32):
+            raise TFLabError(f"encoder.top_stride={self.top_stride}: choose 16 or 32")

@@ -1,0 +1,2 @@
+from .reconstructor import Reconstructor as Reconstructor
+from .settings import ReconstructionSettings as ReconstructionSettings

@@ -1,0 +1,35 @@
+"""What the header of a safetensors file says, without its tensors (and without torch)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+
+from tf_lab.errors import TFLabError
+
+
+def read_header(path: Path) -> dict[str, str]:
+    """The texts that a checkpoint was saved with, by name.
+
+    Raises:
+        TFLabError: the file is not a checkpoint.
+    """
+    try:
+        with safe_open(path, framework="np") as file:
+            return file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise TFLabError(
+            f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
+        ) from error
+
+
+def read_info(path: Path) -> dict[str, Any]:
+    """The provenance of a checkpoint, without its weights.
+
+    Raises:
+        TFLabError: the file is not a checkpoint.
+    """
+    return json.loads(read_header(path).get("info", "{}"))
