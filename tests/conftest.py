@@ -6,6 +6,7 @@ from typing import Any
 import hypothesis
 import pytest
 import torch
+from hydra.core.config_store import ConfigStore
 
 from helpers import box_room
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
@@ -71,3 +72,10 @@ def tiny_network() -> Callable[..., Network]:
         return Network(replace(TINY, **changes)).eval()
 
     return make
+
+
+@pytest.fixture
+def any_launcher() -> None:
+    """Ray's launcher pins old packages, so that it is not installed with the tests."""
+    node = {"_target_": "ray", "ray": {"init": {"address": None}, "remote": {}}}  # as its own
+    ConfigStore.instance().store(group="hydra/launcher", name="ray", node=node)

@@ -8,13 +8,15 @@ from pathlib import Path
 import pytest
 import trimesh
 from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
 
 from helpers.made_up_runs import write_run
 from helpers.tiny_jobs import call
 from tf_lab.cli.command import conf_dir
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+DOCS = REPOSITORY / "docs"
+PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
 COMMANDS = sorted(
     {
         command.strip()
@@ -22,10 +24,30 @@ COMMANDS = sorted(
         for command in re.findall(r"python -m (tf_lab\.[^`\n&]+)", page.read_text())
     }
 )
+# the settings in a page's tables, and the command that takes them
+TAKEN_BY = {"training.md": "train", "reconstruct.md": "reconstruct", "data.md": "reconstruct"}
+SETTINGS = sorted(
+    {
+        (command, words)
+        for page, command in TAKEN_BY.items()
+        for row in re.findall(r"^\|.*", (DOCS / page).read_text(), re.MULTILINE)
+        for words in re.findall(r"`([^`]+)`", row)
+        if all(re.fullmatch(r"[a-z_.]+=\S+", word) for word in words.split())
+    }
+)
+PLACEHOLDERS = {"METRES_PER_UNIT": "0.5", "=NAME": "=captures", "=N": "=7", "=X": "=1"}
+
+
+def composed(command: str, words: list[str]) -> DictConfig:
+    """The config of a command as a page has it, with values in place of its placeholders."""
+    for name, value in PLACEHOLDERS.items():
+        words = [re.sub(rf"{name}$", value, word) for word in words]
+    with initialize_config_dir(conf_dir(), version_base="1.3"):
+        return compose(command, [word.split(",")[0] if "[" not in word else word for word in words])
 
 
 def test_the_notebooks_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "reconstruct.md").read_text(), re.DOTALL)
     script = tmp_path / "script.py"
     script.write_text(code)
     monkeypatch.chdir(tmp_path)
@@ -38,18 +60,23 @@ def test_the_notebooks_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("command", [c for c in COMMANDS if not c.startswith("tf_lab.runs")])
 def test_every_command_has_a_config_that_takes_its_words(command: str) -> None:
     module, *words = shlex.split(command)
-    name = module.removeprefix("tf_lab.")
-    given = [w.replace("=NAME", "=captures").split(",")[0] for w in words if not w.startswith("-")]
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        assert compose(name, [] if given == ["..."] else given)
+    given = [word for word in words if not word.startswith("-") and word != "..."]
+    assert composed(module.removeprefix("tf_lab."), given)
+
+
+@pytest.mark.usefixtures("any_launcher")
+@pytest.mark.parametrize(("command", "words"), SETTINGS)
+def test_every_setting_in_a_table_is_one(command: str, words: str) -> None:
+    assert composed(command, words.split())
 
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("tf_lab.runs")])
 def test_every_command_on_runs_does_what_it_says(tmp_path: Path, command: str) -> None:
-    """It has no config: on one run, it lists or shows it."""
+    """It has no config: on one run, it lists, shows or removes it."""
     run = write_run(tmp_path, "views=4", seed=0, fscores=[0.5])
     _, *words = shlex.split(command.replace("NAME", run.name))
     result = call("runs", *words, f"output={tmp_path}")
     assert result.status == 0, result.err
     assert run.name in result.out
-    assert "0.500" in result.out
+    assert run.exists() != ("rm" in words)
+    assert ("0.500" in result.out) == run.exists()

@@ -1,18 +1,16 @@
 """The sweeps of sweeps/: what they run, in which order, and that W&B's run the same."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.compose import compose_config, conf_dir
+from tf_lab.config.schema import TrainConfig, register
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 
-SWEEPS = Path(conf_dir()) / "sweep"
+SWEEPS = conf_dir() / "sweep"
 # the rows of the paper's tables 1 and 2 that are ours, by the part of the label that is not
 MAIN = {
     "",
@@ -26,21 +24,23 @@ MAIN = {
 INPUTS = {"w/o projected depth", "w/o view ray"}
 
 
-def composed(*overrides: str, hydra: bool = False) -> Any:
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return compose("train", overrides=list(overrides), return_hydra_config=hydra)
+def composed(*overrides: str) -> TrainConfig:
+    return compose_config("train", *overrides)
 
 
-def jobs(name: str) -> list[dict[str, Any]]:
+def jobs(name: str) -> list[TrainConfig]:
     """The configs of a sweep's jobs in the order in which they run."""
-    params = composed(f"sweep={name}", hydra=True).hydra.sweeper.params
+    register()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        hydra = compose("train", [f"sweep={name}"], return_hydra_config=True).hydra
+    params = hydra.sweeper.params
     parsed = OverridesParser.create().parse_overrides([f"{k}={v}" for k, v in params.items()])
     (batch,) = BasicSweeper.split_arguments(parsed, None)
-    return [plain(composed(*overrides)) for overrides in batch]
+    return [composed(*overrides) for overrides in batch]
 
 
-def rows(configs: list[dict[str, Any]]) -> set[tuple[str, int]]:
-    return {(row_label(c).removeprefix("Ours").removeprefix(": "), c["seed"]) for c in configs}
+def rows(configs: list[TrainConfig]) -> set[tuple[str, int]]:
+    return {(row_label(c).removeprefix("Ours").removeprefix(": "), c.seed) for c in configs}
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_wandbs_sweep_runs_the_same() -> None:
     ]
     # the agent puts every parameter in as key=value
     configs = [
-        plain(composed("logger=wandb", f"seed={seed}", f"row={row}"))
+        (composed("logger=wandb", f"seed={seed}", f"row={row}"))
         for seed in values["seed"]
         for row in values["row"]
     ]

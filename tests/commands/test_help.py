@@ -4,12 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 
 from helpers.tiny_jobs import call, start
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.compose import compose_config, conf_dir
 
-COMMANDS = sorted(path.stem for path in Path(conf_dir()).glob("*.yaml"))
+COMMANDS = sorted(path.stem for path in conf_dir().glob("*.yaml"))
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -44,7 +43,7 @@ def test_every_setting_of_a_choice_has_a_comment(option: str) -> None:
 def test_every_choice_says_what_it_is() -> None:
     lines = call("train", "-h").out.split("\n\n")[2].splitlines()[1:]
     shown = {line[2:].split()[0] for line in lines}
-    files = [p for p in Path(conf_dir()).glob("*/*.yaml") if (p.parent / p.name).is_file()]
+    files = [p for p in conf_dir().glob("*/*.yaml") if (p.parent / p.name).is_file()]
     assert {f"{p.parent.name}={p.stem}" for p in files} <= shown
     assert [line for line in lines if not re.fullmatch(r"[* ] \S+ +\w.*\.", line)] == []
     assert sum(line.startswith("* fusion=") for line in lines) == 1
@@ -53,11 +52,10 @@ def test_every_choice_says_what_it_is() -> None:
 def test_the_values_are_those_of_the_command_line() -> None:
     words = ("model=small", "optimizer.steps=77", "views=4")
     out = call("train", *words, "--help").out
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        config = plain(compose("train", list(words)))
+    config = compose_config("train", *words)
     assert re.search(r"^  optimizer.steps=77 +\w", out, re.M)
     assert re.search(r"^  views=4 +K, ", out, re.M)
-    assert re.search(rf"^  model.width={config['model']['width']} ", out, re.M)
+    assert re.search(rf"^  model.width={config.model.width} ", out, re.M)
 
 
 def test_what_a_command_does_not_read_is_neither_shown_nor_taken() -> None:

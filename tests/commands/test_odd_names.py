@@ -90,10 +90,10 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("the work has begun")
 
     for name in (
-        *("reconstruct._open", "evaluate.evaluate", "report.open_study", "pretrain.prepare_data"),
+        *("reconstruct._open", "evaluate.evaluate", "report.open_study", "pretrain.open_source"),
         *("benchmark.run_all", "prepare._prepare_embedded"),
     ):
-        monkeypatch.setattr(f"tf_lab.{name}", fail)
+        monkeypatch.setattr(f"tf_lab.commands.{name}", fail)
 
 
 @pytest.mark.usefixtures("no_work")

@@ -5,20 +5,20 @@ import os
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 from PIL import Image
-from tf_lab.config.datasets import identified, prepare_data
 
 from helpers.layouts import plain as plain_layout
 from helpers.layouts import room_frames, scannet
 from helpers.tiny_jobs import TINY, Result, call
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.commands.train import identified
+from tf_lab.config.compose import compose_config
+from tf_lab.config.schema import TrainConfig
 from tf_lab.data import digests
 from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import run_directory, training_directory
 from tf_lab.support.headers import read_info
@@ -65,16 +65,20 @@ def arguments(root: Path) -> tuple[str, ...]:
     return ("data=captures", *SETTINGS, f"data.root={root}", "data.test=[office]")
 
 
-def configured(*words: str) -> dict[str, Any]:
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return identified(plain(compose("train", overrides=list(words))))
+def training_scenes(config: TrainConfig) -> list[Path]:
+    source = open_source(config.data, config.content)
+    return [*source.scenes("train")["train"].values()]
 
 
-def of_root(root: Path, *more: str) -> dict[str, Any]:
+def configured(*words: str) -> TrainConfig:
+    return identified(compose_config("train", *words))
+
+
+def of_root(root: Path, *more: str) -> TrainConfig:
     return configured(*arguments(root), *more)
 
 
-def keys(config: dict[str, Any]) -> tuple[Path, Path]:
+def keys(config: TrainConfig) -> tuple[Path, Path]:
     """The directories of the training and of the evaluation."""
     return training_directory(config), run_directory(config)
 
@@ -115,12 +119,12 @@ def test_a_capture_more(root: Path) -> None:
 
 def test_corrected_poses(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     training, _ = directories(root)
-    before = Scene(prepare_data(of_root(root), ("train",))["train"][0])
+    before = Scene(training_scenes(of_root(root))[0])
     swap_poses(root / "kitchen")
     assert directories(root)[0] != training
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("kitchen: made anew (poses.txt changed)")
-    after = Scene(prepare_data(of_root(root), ("train",))["train"][0])
+    after = Scene(training_scenes(of_root(root))[0])
     np.testing.assert_allclose(after.world_T_cam, before.world_T_cam[::-1], atol=1e-12)
     assert after.provenance["sources"] == after.directory.name
     swap_poses(root / "kitchen")  # and back: the old scene is still there
@@ -164,11 +168,11 @@ def test_touched_captures_are_not_made_again(
 def test_a_run_keeps_to_its_scenes(root: Path) -> None:
     """Whatever happens to the captures while it works."""
     config = of_root(root)
-    (directory,) = prepare_data(config, ("train",))["train"]
+    (directory,) = training_scenes(config)
     swap_poses(root / "kitchen")
-    (other,) = prepare_data(of_root(root), ("train",))["train"]
+    (other,) = training_scenes(of_root(root))
     assert other != directory
-    assert prepare_data(config, ("train",))["train"] == [directory]
+    assert training_scenes(config) == [directory]
     assert len(Scene(directory)) == 8
 
 

@@ -8,17 +8,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.singleton import Singleton
-from tf_lab.config.datasets import identified
 
 from helpers.run_directory import check_run
 from helpers.tiny_jobs import TINY, Result, call, environment, start, tiny_config
-from tf_lab.cli.command import conf_dir, plain
+from tf_lab.config.compose import compose_config
+from tf_lab.config.schema import TrainConfig
 from tf_lab.experiments.identity import training_directory
 from tf_lab.experiments.launcher import JOB
 from tf_lab.support.headers import read_info
@@ -116,24 +114,23 @@ def test_a_jobs_process_has_the_jobs_config(
 ) -> None:
     configs, commands = [], []
 
-    def found(config: dict[str, Any]) -> Path:
+    def found(config: TrainConfig) -> Path:
         configs.append(config)
         return tmp_path
 
-    monkeypatch.setattr("tf_lab.train.run_directory", found)
+    monkeypatch.setattr("tf_lab.commands.train.run_directory", found)
     monkeypatch.setattr(Children, "run", lambda _, command, *__: commands.append(command) or 0)
-    given = ("training.views=[1,2]", "+trainer.max_time='1:2'", "output=a, b=c")
+    given = ("training.views=[1,2]", "+trainer.others.max_time='1:2'", "output=a, b=c")
     given += ("data.root=Küche ${x} (1)", "model.name=2024_01_01")
     result = train("sweep=inputs", "seed=3,4", "row=avg,views8_rnd", *given, "hydra.verbose=false")
     assert result.status == 1
     assert set(table(result).values())
     composed = []
     for command in commands:
-        with initialize_config_dir(conf_dir(), version_base="1.3"):
-            composed.append(identified(plain(compose("train", overrides=command[3:]))))
+        composed.append(identified(compose_config("train", *command[3:])))
     assert len(composed) == 4
     assert composed == configs[::2]  # asked before and after
-    assert [(c["seed"], c["fusion"]["strategy"]) for c in composed] == [
+    assert [(c.seed, c.fusion.strategy) for c in composed] == [
         *((3, "avg"), (3, "transformer"), (4, "avg"), (4, "transformer")),
     ]
 

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
 from tf_lab.config.build import build_network, capture_settings
@@ -47,13 +46,6 @@ def with_hydra(*overrides: str) -> list[Any]:
 
 # what the user has to say beside an option
 NEEDED = {"data=captures": ["data.root=captures"], "data=shards": ["data.urls=shards"]}
-
-
-@pytest.fixture
-def any_launcher() -> None:
-    """Ray's launcher pins old packages, so that it is not installed with the tests."""
-    node = {"_target_": "ray", "ray": {"init": {"address": None}, "remote": {}}}  # as its own
-    ConfigStore.instance().store(group="hydra/launcher", name="ray", node=node)
 
 
 @pytest.mark.usefixtures("any_launcher")

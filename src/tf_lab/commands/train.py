@@ -115,8 +115,10 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
         write_config(config, run / "config.yaml")
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
         write_json(run / "run.json", {**origin, **info})
-    network = ready(network, config.online, torch.device("cpu"))  # the trainer takes it further
-    module = SceneEvaluation(network, capture_settings(config), run=run, label=row_label(config))
+    # the trainer brings it to its device
+    network = ready(network, config.online, torch.device("cpu"))
+    settings, metrics = capture_settings(config), [*config.metrics.values()]
+    module = SceneEvaluation(network, settings, metrics, run, row_label(config))
     t = config.trainer
     nodes = {name: value for name, value in t.others.items() if name == "num_nodes"}
     devices = {"accelerator": t.accelerator, "devices": t.devices, "strategy": t.strategy}
@@ -151,7 +153,9 @@ def _fit(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     network, optimizer = make_network(config), config.optimizer
     memory = round(config.training.maps_memory * 2**30)
     settings = capture_settings(config)
-    module = Training(network, optimizer, config.training.sdf_weight, settings, memory)
+    module = Training(
+        network, optimizer, config.training.sdf_weight, settings, memory, [*config.metrics.values()]
+    )
     sittings = Sittings()
     trainer = _trainer(config, [_saving(config, directory), sittings], directory)
     # whatever is wrong so far is told before the data is made

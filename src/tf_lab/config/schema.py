@@ -26,6 +26,7 @@ from tf_lab.data.reading import ReadSettings
 from tf_lab.data.settings import PhotometricSettings
 from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.settings import Content
+from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
 from tf_lab.online.views import POLICIES
@@ -67,6 +68,9 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         kind="path",
     )
     output: str = setting("outputs", "trainings/ and runs/ are made in it", kind="path")
+    metrics: dict[str, Any] = setting(
+        {}, "beside the paper's, by name, with their settings", shapes="scores"
+    )
     content: Content = field(default_factory=Content)
 
 
@@ -262,6 +266,12 @@ def register() -> None:
     for parts in PARTS:
         for part in parts:
             store.store(group=parts.group, name=part.choice, node=node_of(part.settings))
+    for part in METRICS:
+        if part.name not in PAPER:  # those are always there
+            node = node_of(part.settings)
+            store.store(
+                group="metrics", name=part.choice, node=node, package=f"metrics.{part.name}"
+            )
 
 
 def node_of(schema: type) -> DictConfig:

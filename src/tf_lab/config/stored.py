@@ -33,6 +33,8 @@ def _plain(settings: Any, without_paths: bool = False) -> dict[str, Any]:
     plain: dict[str, Any] = {}
     for field in fields(settings):
         value = getattr(settings, field.name)
+        if isinstance(value, dict) and any(map(is_dataclass, value.values())):
+            value = {name: _plain(part, without_paths) for name, part in value.items()}
         if is_dataclass(value):
             plain[field.name] = _plain(value, without_paths)
         elif not (without_paths and field.metadata.get("kind") == "path"):

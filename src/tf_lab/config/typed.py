@@ -12,6 +12,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from tf_lab.config.schema import PARTS, node_of
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.registry import METRICS
 
 T = TypeVar("T")
 
@@ -29,6 +30,8 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
         chosen = OmegaConf.select(given, parts.group, default=None)
         if chosen is not None:
             node[parts.group] = node_of(parts[chosen[parts.key]].settings)
+    for name in OmegaConf.select(given, "metrics", default=None) or {}:
+        node["metrics"][name] = node_of(METRICS[name].settings)
     merged = OmegaConf.merge(node, given)
     assert isinstance(merged, DictConfig)
     _expand_paths(merged)

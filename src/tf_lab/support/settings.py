@@ -59,10 +59,11 @@ def shaping(settings: Any, what: Shapes) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
-        if dataclasses.is_dataclass(value):
-            value = shaping(value, what)
-            if value:
-                found[field.name] = value
+        if isinstance(value, dict) and all(map(dataclasses.is_dataclass, value.values())):
+            parts = {name: shaping(part, what) for name, part in value.items()}
+            found |= {field.name: parts} if any(parts.values()) else {}
+        elif dataclasses.is_dataclass(value):
+            found |= {field.name: inner} if (inner := shaping(value, what)) else {}
         elif field.metadata.get("shapes", "nothing") == what:
             found[field.name] = value
     return found
