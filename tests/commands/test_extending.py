@@ -6,24 +6,50 @@ import re
 import shlex
 import sys
 import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from helpers.layouts import plain, room_frames
 from helpers.tiny_jobs import TINY, Result, start
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "extending.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text()
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
 COMMANDS = re.findall(r"^python -m tf_lab\.(.+)$", PAGE, re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page's package as an installed one: its modules, and beside them its entry points."""
-    root = tmp_path_factory.mktemp("package")
+def home(workshop: Path) -> Path:
+    """Where the page's commands run; with pytest-xdist the workers share it."""
+    return workshop / "extending"
+
+
+@pytest.fixture(scope="module")
+def results(home: Path, cache: Path) -> dict[str, Result]:
+    """What the page's commands did, one after the other."""
+    kept = home / "results.json"
+    with FileLock(home.with_suffix(".lock")):
+        if not kept.exists():
+            package = install(home / "package")
+            for split in ("train", "val", "test"):
+                plain.write(home / "DIR" / split / "kitchen", room_frames())
+            path = os.pathsep.join([str(package), *sys.path])
+            variables = {"PYTHONPATH": path, "TF_LAB_CACHE": str(cache)}
+            done = {}
+            for command in COMMANDS:
+                name, *words = shlex.split(command)
+                done[command] = asdict(start(name, *tiny(name, words), cwd=home, **variables))
+            kept.write_text(json.dumps(done))
+    return {command: Result(**result) for command, result in json.loads(kept.read_text()).items()}
+
+
+def install(root: Path) -> Path:
+    """Write the page's package as an installed one: modules, and beside them the entry points."""
     for name, content in FILES.items():
-        (root / name).parent.mkdir(exist_ok=True)
+        (root / name).parent.mkdir(exist_ok=True, parents=True)
         (root / name).write_text(content)
     project = tomllib.loads(FILES["pyproject.toml"])["project"]
     info = root / f"{project['name']}-{project['version']}.dist-info"
@@ -34,30 +60,15 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the commands run, with a capture for each split."""
-    home = tmp_path_factory.mktemp("home")
-    for split in ("train", "val", "test"):
-        plain.write(home / "DIR" / split / "kitchen", room_frames())
-    return home
-
-
-@pytest.fixture(scope="module")
-def results(package: Path, home: Path) -> dict[str, Result]:
-    """What the page's commands did, one after the other."""
-    path = os.pathsep.join([str(package), *sys.path])
-    found = {}
-    for command in COMMANDS:
-        name, *words = shlex.split(command)
-        tiny = [] if name != "train" or "--help" in words else TINY
-        if "data=folders" in words:
-            own = {"data.workers", "data.width", "data.height"}  # the others are of rooms
-            tiny = [w for w in TINY if not w.startswith("data.") or w.split("=")[0] in own]
-            tiny = tiny if name == "train" else [w for w in tiny if w.startswith("data.")]
-        cache = str(home / "cache")
-        found[command] = start(name, *tiny, *words, cwd=home, PYTHONPATH=path, TF_LAB_CACHE=cache)
-    return found
+def tiny(name: str, words: Sequence[str]) -> list[str]:
+    """A command's settings, and those that make it small."""
+    if name not in ("train", "prepare") or "--help" in words:
+        return list(words)
+    small = [w for w in TINY if name == "train" or w.startswith("data.")]
+    if "data=folders" in words:  # the other settings of data are of rooms
+        own = {"data.workers", "data.width", "data.height"}
+        small = [w for w in small if not w.startswith("data.") or w.split("=")[0] in own]
+    return [*small, *words]
 
 
 def test_every_command_works(results: dict[str, Result]) -> None:
