@@ -184,8 +184,8 @@ if "TF_LAB_PARENT" in os.environ:
     import signal
     from tf_lab.training.fit import AtomicSaves
     save = AtomicSaves.save_checkpoint
-    def save_and_stop(*arguments):
-        save(*arguments)
+    def save_and_stop(*arguments, **others):
+        save(*arguments, **others)
         global alive
         alive = open({pipe!r}, "w")
         signal.pause()
