@@ -1,4 +1,4 @@
-"""Who imports whom: packages only those below them, no module in a circle, nothing slow for help."""
+"""Who imports whom: rooms only those below them, nothing in a circle, nothing slow for help."""
 
 import ast
 import importlib.util

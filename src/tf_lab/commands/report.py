@@ -14,9 +14,6 @@ from tf_lab.reporting.studies import open_study
 from tf_lab.reporting.tables import short_table
 from tf_lab.support.files import check_folder
 
-if TYPE_CHECKING:
-    pass
-
 
 def run(config: ReportConfig) -> None:
     """Read the runs; print the main table; write tables, orderings, charts and pictures."""
