@@ -26,7 +26,7 @@ from tf_lab.experiments.inventory import (
     find_trainings,
     with_dependents,
 )
-from tf_lab.experiments.reuse import commits_of
+from tf_lab.experiments.reuse import commits_of, sessions_of
 from tf_lab.support.files import remove_directory
 from tf_lab.support.tables import NOTHING, aligned
 
@@ -104,7 +104,7 @@ def listing(output: Path) -> str:
 
 def _start(entry: Entry) -> list[str]:
     state = entry.state + (f", {entry.user} works on it" if entry.user else "")
-    makers = entry.origin.get("sittings", [entry.origin] if entry.origin else [])
+    makers = sessions_of(entry.origin) or ([entry.origin] if entry.origin else [])
     return [entry.directory.name, state, commits_of(makers)]
 
 

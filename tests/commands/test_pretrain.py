@@ -9,9 +9,10 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
 
+from helpers.killed import kill_after_first_save
 from helpers.lite0 import made_up
 from helpers.tiny_jobs import Result, call, tiny_config
-from tf_lab.config.build import make_network
+from tf_lab.training.initial import make_network
 
 ROOMS = (
     *("data.size=1", "data.val_size=1", "data.frames=24", "data.test_frames=24"),
@@ -86,7 +87,7 @@ def test_a_trunk_from_imagenet_stays_unless_told(
     """With made-up weights in ImageNet's place."""
     start = made_up()
     monkeypatch.setattr(
-        "tf_lab.network.encoders.EfficientNetLite0.imagenet_weights", lambda *_: start
+        "tf_lab.network.encoders.efficientnet.EfficientNetLite0.imagenet_weights", lambda *_: start
     )
     assert pretrain(*EFFICIENT, f"trunk_factor={factor}").status == 0
     state = load_file(tmp_path / "encoder.safetensors")
@@ -105,3 +106,22 @@ def test_the_effects_of_the_config_reach_the_training(tmp_path: Path, effect: st
     assert pretrain(*RESNET, "steps=1", "validate_every=1", f"augment.{effect}={none}").status == 0
     after = load_file(tmp_path / "encoder.safetensors")
     assert any(not torch.equal(value, before[name]) for name, value in after.items())
+
+
+def test_a_killed_one_goes_on_unless_it_is_another(tmp_path: Path) -> None:
+    """The same settings resume its checkpoint; others start anew, and say so."""
+    last = Path("encoder", "last.ckpt")
+    kill_after_first_save("pretrain", *JOB, *RESNET)
+    assert torch.load(last, weights_only=True)["global_step"] == 2
+    other = pretrain(*RESNET, "lr=1e-4")
+    assert f"{last}: of other settings or data; this training starts anew" in other.out
+    assert "resuming" not in other.out
+    assert not last.exists()
+
+    kill_after_first_save("pretrain", *JOB, *RESNET)
+    resumed = pretrain(*RESNET, "trainer.workers=0")
+    assert f"resuming {last}" in resumed.out
+    weights = load_file(tmp_path / "encoder.safetensors")
+    assert "resuming" not in pretrain(*RESNET).out
+    for name, value in load_file(tmp_path / "encoder.safetensors").items():
+        torch.testing.assert_close(weights[name], value, rtol=0, atol=1e-6)

@@ -1,11 +1,9 @@
 """A training killed at any moment goes on, by the same command, to the same end."""
 
 import csv
-import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,29 +11,13 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from helpers.tiny_jobs import TINY, call, environment, tiny_config
-from tf_lab.commands.train import AtomicSaves
+from helpers.killed import kill_after_first_save
+from helpers.tiny_jobs import TINY, call, tiny_config
 from tf_lab.commands.train import train as train_network
 from tf_lab.experiments.identity import training_directory
+from tf_lab.training.fit import AtomicSaves
 
 STEPS = ("optimizer.steps=40", "training.save_every=5")
-
-
-def kill_after_first_save(arguments: list[str], directory: Path) -> None:
-    """Start a training and send SIGKILL as soon as it has a checkpoint to resume from."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tf_lab.train", *arguments],
-        env=environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        while not (directory / "last.ckpt").exists():
-            assert process.poll() is None, "it ended before it saved"
-            time.sleep(0.02)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
 
 
 @pytest.fixture
@@ -53,7 +35,7 @@ def test_a_killed_training_ends_with_the_weights_of_an_undisturbed_one(tmp_path:
     arguments = [*TINY, *STEPS, f"output={tmp_path / 'killed'}"]
     config = tiny_config(*STEPS, f"output={tmp_path / 'killed'}")
     directory = training_directory(config)
-    kill_after_first_save(arguments, directory)
+    kill_after_first_save("train", *arguments)
     assert not (directory / "model.safetensors").exists()
     saved = torch.load(directory / "last.ckpt", weights_only=True)["global_step"]
     assert 0 < saved < 40

@@ -14,7 +14,7 @@ from helpers.tiny_jobs import TINY, Result, call, tiny_config
 from tf_lab.commands.train import write_config
 from tf_lab.experiments.provenance import commit
 from tf_lab.experiments.reuse import commits_of, print_reuse, removal
-from tf_lab.support.files import held
+from tf_lab.support.locks import directory_lock
 
 
 @pytest.fixture
@@ -117,7 +117,7 @@ def test_a_dry_run_says_what_would_go(mine: Path, main_job: Result) -> None:
 
 def test_what_is_in_use_is_not_removed(mine: Path, main_job: Result) -> None:
     run, training = main_job.path("run"), main_job.path("training")
-    with held(run, "evaluates"):
+    with directory_lock(run, "evaluating"):
         result = call("runs", "rm", training.name)
         assert "works on it" in call("runs").out
     assert result.status == 2

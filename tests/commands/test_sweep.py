@@ -15,6 +15,7 @@ from hydra.core.singleton import Singleton
 
 from helpers.run_directory import check_run
 from helpers.tiny_jobs import TINY, Result, call, environment, start, tiny_config
+from tf_lab.commands.train import identified
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import TrainConfig
 from tf_lab.experiments.identity import training_directory
@@ -183,8 +184,8 @@ if "TF_LAB_PARENT" in os.environ:
     import signal
     from tf_lab.training.fit import AtomicSaves
     save = AtomicSaves.save_checkpoint
-    def save_and_stop(*arguments):
-        save(*arguments)
+    def save_and_stop(*arguments, **others):
+        save(*arguments, **others)
         global alive
         alive = open({pipe!r}, "w")
         signal.pause()

@@ -44,7 +44,7 @@ def test_more_steps_of_a_schedule_that_does_not_end(train: Train, tmp_path: Path
     assert f"going on from {short.path('training') / 'last.ckpt'}" in long.out
     assert first_step(long.path("training")) >= 7
     info = read_info(long.path("training") / "model.safetensors")["training"]
-    assert len(info["sittings"]) == 2
+    assert len(info["sessions"]) == 2
     whole = train(*common, "optimizer.steps=20", f"output={tmp_path / 'one'}")
     assert "going on" not in whole.out
     assert whole.path("training").name == long.path("training").name

@@ -19,7 +19,7 @@ from tf_lab.config.schema import COMMANDS as SCHEMAS
 from tf_lab.config.schema import PARTS, register
 from tf_lab.errors import TFLabError
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.training.module import schedule_factor
+from tf_lab.training.schedule import learning_rate_factor
 
 CONF = conf_dir()
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -179,18 +179,18 @@ def test_a_model_takes_any_encoder(model: str, encoder: str | None) -> None:
 def test_the_papers_schedule() -> None:
     """Linear to 1e-4 over 5k steps, then with the inverse square root of the step."""
     settings = composed("train", "model=paper").optimizer
-    assert schedule_factor(settings, 2499) == pytest.approx(0.5)
-    assert schedule_factor(settings, 4999) == pytest.approx(1)
-    assert schedule_factor(settings, 19_999) == pytest.approx(0.5)
-    assert schedule_factor(settings, 124_999) == pytest.approx(0.2)
+    assert learning_rate_factor(settings, 2499) == pytest.approx(0.5)
+    assert learning_rate_factor(settings, 4999) == pytest.approx(1)
+    assert learning_rate_factor(settings, 19_999) == pytest.approx(0.5)
+    assert learning_rate_factor(settings, 124_999) == pytest.approx(0.2)
 
 
 def test_the_cosine_schedule_ends_at_zero() -> None:
     settings = composed("train", "optimizer.steps=1000", "optimizer.warmup=50").optimizer
     assert settings.schedule == "cosine"
-    assert schedule_factor(settings, 24) == pytest.approx(0.5)
-    assert schedule_factor(settings, 525) == pytest.approx(0.5, abs=1e-6)
-    assert schedule_factor(settings, 1000) == pytest.approx(0, abs=1e-6)
+    assert learning_rate_factor(settings, 24) == pytest.approx(0.5)
+    assert learning_rate_factor(settings, 525) == pytest.approx(0.5, abs=1e-6)
+    assert learning_rate_factor(settings, 1000) == pytest.approx(0, abs=1e-6)
 
 
 def test_configs_are_found_from_any_directory(

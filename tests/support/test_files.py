@@ -1,9 +1,6 @@
 """Half-written files and directories never take the place of whole ones."""
 
 import json
-import socket
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -12,8 +9,6 @@ import pytest
 from tf_lab.support.files import (
     atomic_directory,
     atomic_path,
-    held,
-    holder,
     remove_directory,
     write_json,
 )
@@ -113,45 +108,6 @@ def test_write_json_that_fails_keeps_the_old(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         write_json(target, {"fscore": object()})
     assert json.loads(target.read_text()) == {"fscore": 0.5}
-
-
-HOLD = """
-import sys, time
-from pathlib import Path
-from tf_lab.support.files import held
-with held(Path(sys.argv[1]), "trains"):
-    print("held", flush=True)
-    time.sleep(60)
-"""
-
-
-def test_a_lock_says_who_holds_it_and_outlives_nobody(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    directory = tmp_path / "training"
-    process = subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(directory)], stdout=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "held\n"
-    who = f"process {process.pid} on {socket.gethostname()}"
-    assert holder(directory) == who
-
-    entered = threading.Event()
-
-    def wait() -> None:
-        with held(directory, "trains"):
-            entered.set()
-
-    waiting = threading.Thread(target=wait)
-    waiting.start()
-    assert not entered.wait(0.3)
-    process.kill()
-    waiting.join(10)
-    assert entered.is_set()
-    process.wait()
-    assert capsys.readouterr().out == f"waiting for {who}, which trains {directory}\n"
-    assert holder(directory) is None
 
 
 def test_a_removed_directory_is_gone_at_once(tmp_path: Path) -> None:

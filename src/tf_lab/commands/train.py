@@ -4,34 +4,29 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import lightning as L
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint
-from lightning.pytorch.plugins.io import TorchCheckpointIO
-from lightning.pytorch.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from tf_lab.config.build import build_network, capture_settings, ready
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import portable_config, write_config
 from tf_lab.data.sources.source import open_source
-from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 from tf_lab.experiments.launcher import SweepJobs
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
-from tf_lab.support.files import atomic_path, held, remove_abandoned, write_json
+from tf_lab.support.files import write_json
+from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, first_says
+from tf_lab.training.fit import FitSettings, fit, is_helper, rank_zero_lock
 from tf_lab.training.initial import (
     check_state,
     initial_state,
@@ -39,7 +34,8 @@ from tf_lab.training.initial import (
     with_initial_digests,
 )
 from tf_lab.training.loggers import log_scores, make_loggers
-from tf_lab.training.module import Sittings, Training, TrainingProgress
+from tf_lab.training.module import Training
+from tf_lab.training.objects import make_callbacks
 
 log = logging.getLogger(__name__)
 
@@ -55,12 +51,12 @@ def run(config: TrainConfig) -> None:
         print_reuse("evaluation", run)
     else:
         tested = open_source(config.data, config.content).has("test")
-        if not tested and not _is_helper():
+        if not tested and not is_helper():
             print("no score will be made: there is no test scene (data.test, data.test_size)")
         checkpoint = train(config)
         if tested:
             evaluate_training(config, checkpoint)
-        if _is_helper():
+        if is_helper():
             return  # the first process of a distributed training does the rest
         if not tested:
             print(f"training: {checkpoint.parent}")
@@ -100,10 +96,10 @@ JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
 def evaluate_training(config: TrainConfig, checkpoint: Path) -> Path:
     """The run directory of the config's evaluation: found, or made now."""
     run = run_directory(config)
-    with nullcontext() if _is_helper() else held(run, "evaluates"):
-        if first_says(_is_helper() or read_metrics(run) is None):
+    with rank_zero_lock(run, "evaluating"):
+        if first_says(is_helper() or read_metrics(run) is None):
             _evaluate(config, checkpoint, run)
-        elif not _is_helper():
+        elif not is_helper():
             print_reuse("evaluation", run)
     return run
 
@@ -111,7 +107,7 @@ def evaluate_training(config: TrainConfig, checkpoint: Path) -> Path:
 def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     network, info = load_network(checkpoint)
     scenes = [*open_source(config.data, config.content).scenes("test")["test"].values()]
-    if not _is_helper():
+    if not is_helper():
         write_config(config, run / "config.yaml")
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
         write_json(run / "run.json", {**origin, **info})
@@ -129,146 +125,67 @@ def train(config: TrainConfig) -> Path:
     """The checkpoint of the config's training: found, resumed or trained from the start."""
     directory = training_directory(config)
     checkpoint = directory / "model.safetensors"
-    if _is_helper():  # the first process holds the lock for all
+    with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
-            _fit(config, directory, checkpoint)
-        return checkpoint
-    with held(directory, "trains"):
-        if checkpoint.exists():
+            _train(config, directory, checkpoint)
+        elif not is_helper():
             print_reuse("training", directory)
-            return checkpoint
-        remove_abandoned(directory)  # by a training that was killed while it saved
-        write_config(config, directory / "config.yaml")
-        _fit(config, directory, checkpoint)
     return checkpoint
 
 
-def _is_helper() -> bool:
-    """Whether this is a process of a distributed training other than the first."""
-    return getattr(rank_zero_only, "rank", 0) > 0
-
-
-def _fit(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
+def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
+    if not is_helper():
+        write_config(config, directory / "config.yaml")
     L.seed_everything(config.seed, verbose=False)
-    network, optimizer = make_network(config), config.optimizer
-    memory = round(config.training.maps_memory * 2**30)
-    settings = capture_settings(config)
-    module = Training(
-        network, optimizer, config.training.sdf_weight, settings, memory, [*config.metrics.values()]
-    )
-    sittings = Sittings()
-    trainer = _trainer(config, [_saving(config, directory), sittings], directory)
-    # whatever is wrong so far is told before the data is made
-    source = open_source(config.data, config.content)
-    train = source.chunks(config.training.chunk, config.model.near, config.model.far)
-    val = [*source.scenes("val")["val"].values()]
+    t, optimizer = config.training, config.optimizer
+    network, source = make_network(config), open_source(config.data, config.content)
     if config.trainer.compile:
         network.compile_parts()
-    data = SceneDataModule(train, val, config.seed, config.trainer.workers)
-    state = _state_to_go_on_from(config, directory)
-    trainer.fit(module, data, ckpt_path=state, weights_only=True)
-    if trainer.global_step < optimizer.steps:
-        raise KeyboardInterrupt  # Lightning turns the signal into a silent end
-    trainer.save_checkpoint(directory / "last.ckpt")  # to train on
+    module = Training(
+        network,
+        optimizer,
+        t.sdf_weight,
+        capture_settings(config),
+        round(t.maps_memory * 2**30),
+        [*config.metrics.values()],
+    )
+
+    def data() -> SceneDataModule:
+        train = source.chunks(t.chunk, config.model.near, config.model.far)
+        val = [*source.scenes("val")["val"].values()]
+        return SceneDataModule(train, val, config.seed, config.trainer.workers)
+
+    validate_every = t.validate_every if source.has("val") else 0
+    sessions = TrainingSessions()
+    trainer = fit(
+        module,
+        data,
+        directory,
+        config.trainer,
+        FitSettings(optimizer.steps, t.save_every, validate_every, optimizer.clip),
+        loggers=make_loggers(config, directory),
+        callbacks=[sessions, *make_callbacks(config)],
+        start=partial(_start, config, directory),
+    )
     if trainer.is_global_zero:
-        origin = {
-            **sittings.summary(),
-            **_scenes(config, "train"),
-            "config": portable_config(config),
-        }
-        info = {"training": origin}
-        logs = sorted(directory.glob("logs/version_*/metrics.csv"))
-        if logs:
+        if logs := sorted(directory.glob("logs/version_*/metrics.csv")):
             loss_curve(logs, directory / "loss.png")
+        origin = {**sessions.summary(), **_scenes(config, "train")}
+        info = {"training": {**origin, "config": portable_config(config)}}
         save_network(network, checkpoint, info)
+
+
+def _start(config: TrainConfig, directory: Path) -> Path | None:
+    """The state that ``init`` names, or the last one of the same training of fewer steps."""
+    state = initial_state(config)
+    if state is not None:
+        check_state(state, asdict(config.optimizer))
+    elif not config.init:
+        state = earlier_state(config, directory)
+    return state
 
 
 def _scenes(config: TrainConfig, split: str) -> dict[str, dict[str, str]]:
     """Which captures' scenes of a split a run uses, by the digest of their sources."""
     found = config.content.scenes.get(split)
     return {"scenes": found} if found else {}
-
-
-def _state_to_go_on_from(config: TrainConfig, directory: Path) -> Path | None:
-    """Of this training, interrupted; else as ``init`` says; else of the same one of fewer steps."""
-    last = directory / "last.ckpt"
-    if last.exists():
-        _check(last)
-        print(f"resuming {last}")
-        return last
-    state = initial_state(config)
-    if state is not None:
-        check_state(state, asdict(config.optimizer))
-    elif not config.init:
-        state = earlier_state(config, directory)
-    if state is not None:
-        print(f"going on from {state}")
-    return state
-
-
-class AtomicSaves(TorchCheckpointIO):
-    """Writes checkpoints beside their final place, so that a kill never leaves half of one.
-
-    Lightning's own way moves them there from the system's temporary directory, which on another
-    file system means copying.
-    """
-
-    def save_checkpoint(
-        self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None
-    ) -> None:
-        """Write ``checkpoint`` to ``path``, whole or not at all."""
-        with atomic_path(Path(path)) as temporary:
-            torch.save(checkpoint, temporary)
-
-
-def _check(last: Path) -> None:
-    """That the checkpoint to resume from can be read."""
-    try:
-        torch.load(last, map_location="cpu", weights_only=True)
-    except Exception as error:  # any damage
-        raise TFLabError(
-            f"{last}: damaged ({type(error).__name__}); delete it to start this training again"
-        ) from error
-
-
-def _saving(config: TrainConfig, directory: Path) -> ModelCheckpoint:
-    return ModelCheckpoint(
-        directory,
-        filename="last",
-        every_n_train_steps=config.training.save_every,
-        save_top_k=1,
-        enable_version_counter=False,
-        save_on_train_epoch_end=False,
-    )
-
-
-def _trainer(config: TrainConfig, callbacks: Sequence[Callback], directory: Path) -> L.Trainer:
-    t = config.trainer
-    arguments = {
-        "accelerator": t.accelerator,
-        "devices": t.devices,
-        "precision": t.precision,
-        "strategy": t.strategy,
-        **t.others,
-    }
-    steps, every = config.optimizer.steps, config.training.validate_every
-    validate = every and open_source(config.data, config.content).has("val")
-    try:
-        return L.Trainer(
-            max_steps=steps,
-            val_check_interval=min(every, steps) if every else None,
-            limit_val_batches=1.0 if validate else 0,
-            check_val_every_n_epoch=None,
-            num_sanity_val_steps=0,
-            gradient_clip_val=config.optimizer.clip or None,
-            callbacks=[*callbacks, TrainingProgress()],
-            plugins=[AtomicSaves()],
-            logger=make_loggers(config, directory),
-            log_every_n_steps=5,
-            enable_progress_bar=False,
-            enable_model_summary=False,
-            use_distributed_sampler=False,
-            **arguments,
-        )
-    except (MisconfigurationException, TypeError, ValueError) as error:
-        raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error

@@ -148,6 +148,9 @@ class InferenceSettings:
 class LoggerSettings:
     """Where losses and scores are logged, beside metrics.csv."""
 
-    kind: str = setting("csv", "set it by logger=")
+    _target_: str | None = setting(None, "a class of Lightning's loggers; null: metrics.csv only")
     project: str = setting("tf_lab", "of Weights & Biases")
-    offline: bool = setting(False, "true keeps runs in the training's folder")
+    offline: bool = setting(False, "true keeps runs of Weights & Biases in the training's folder")
+    others: dict[str, Any] = setting(
+        {}, "more arguments of the class, as +logger.others.log_model=true"
+    )

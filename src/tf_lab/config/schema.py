@@ -59,6 +59,10 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     training: TrainingSettings = MISSING
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     logger: LoggerSettings = field(default_factory=LoggerSettings)
+    callbacks: dict[str, dict[str, Any]] = setting(
+        {},
+        "more callbacks, as +callbacks.any._target_=lightning.pytorch.callbacks.DeviceStatsMonitor",
+    )
     launcher: Any = None
     seed: int = setting(0, "of weights, chunks and random choices", shapes="weights")
     init: str | None = setting(
@@ -84,20 +88,25 @@ class PretrainConfig:
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     training: Any = None
     optimizer: Any = None
-    seed: int = setting(0, "of weights and pairs")
-    steps: int = setting(3000, "in all")
-    lr: float = setting(3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0")
+    seed: int = setting(0, "of weights and pairs", shapes="weights")
+    steps: int = setting(3000, "in all", shapes="weights")
+    lr: float = setting(
+        3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights"
+    )
     trunk_factor: float | None = setting(
         None,
         "the trunk's learning rate over the pyramid's; null: 0 (frozen) if it starts from "
         "ImageNet, else 1",
+        shapes="weights",
     )
-    temperature: float = setting(0.07, "of the softmax over candidates")
-    pairs: int = setting(8, "of images a step")
-    points: int = setting(320, "correspondences a pair")
-    epipolar: int = setting(8, "wrong candidates along a point's epipolar line")
+    temperature: float = setting(0.07, "of the softmax over candidates", shapes="weights")
+    pairs: int = setting(8, "of images a step", shapes="weights")
+    points: int = setting(320, "correspondences a pair", shapes="weights")
+    epipolar: int = setting(8, "wrong candidates along a point's epipolar line", shapes="weights")
     jitter: float = setting(
-        0.7, "deviation of a true pixel in training, pixels: real poses are never exact"
+        0.7,
+        "deviation of a true pixel in training, pixels: real poses are never exact",
+        shapes="weights",
     )
     augment: PhotometricSettings = setting(
         PhotometricSettings(

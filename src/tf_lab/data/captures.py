@@ -36,7 +36,8 @@ from tf_lab.data.scannet_splits import official_mesh, structure_labels
 from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.files import read_mesh
-from tf_lab.support.files import atomic_directory, held, remove_abandoned, write_json
+from tf_lab.support.files import atomic_directory, remove_abandoned, write_json
+from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 from tf_lab.support.text import read_lines
 
@@ -216,7 +217,7 @@ def prepare_captures(
         ) from error
     failed: dict[str, str] = {}
     if _outdated(folder, sources):
-        with held(folder, "prepares"):
+        with directory_lock(folder, "preparing"):
             outdated = _outdated(folder, sources)  # another process may have been faster
             tasks = {}
             for name in outdated:

@@ -46,11 +46,19 @@ class ChunkSettings:
 class PhotometricSettings:
     """How strong each effect on an image is at most; 0 (jpeg: 100) is none of it."""
 
-    exposure: float = setting(0.0, "stops (factors of two in linear light)")
-    white_balance: float = setting(0.0, "logarithm of the gains of red and blue (linear light)")
-    blur: float = setting(0.0, "deviation of a Gaussian, pixels; in half of the images")
-    motion: float = setting(0.0, "length of a motion blur, pixels; in a quarter of the images")
-    noise: float = setting(0.0, "deviation of the sensor's noise, of a range of 0..1")
-    gamma: float = setting(0.0, "logarithm of the exponent of the stored values")
-    contrast: float = setting(0.0, "logarithm of the gain about the image's mean")
-    jpeg: int = setting(100, "lowest quality; in half of the images")
+    exposure: float = setting(0.0, "stops (factors of two in linear light)", shapes="weights")
+    white_balance: float = setting(
+        0.0, "logarithm of the gains of red and blue (linear light)", shapes="weights"
+    )
+    blur: float = setting(
+        0.0, "deviation of a Gaussian, pixels; in half of the images", shapes="weights"
+    )
+    motion: float = setting(
+        0.0, "length of a motion blur, pixels; in a quarter of the images", shapes="weights"
+    )
+    noise: float = setting(
+        0.0, "deviation of the sensor's noise, of a range of 0..1", shapes="weights"
+    )
+    gamma: float = setting(0.0, "logarithm of the exponent of the stored values", shapes="weights")
+    contrast: float = setting(0.0, "logarithm of the gain about the image's mean", shapes="weights")
+    jpeg: int = setting(100, "lowest quality; in half of the images", shapes="weights")

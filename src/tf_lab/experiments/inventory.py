@@ -11,7 +11,7 @@ from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import row_label
 from tf_lab.experiments.reuse import Origin, origin_of
-from tf_lab.support.files import holder
+from tf_lab.support.locks import lock_holder
 
 TRAININGS, RUNS = "trainings", "runs"
 
@@ -80,7 +80,7 @@ def _training(directory: Path) -> Entry:
             state = "unfinished"
     except Exception:  # any damage
         state = "damaged"
-    return Entry(directory, state, holder(directory), config, origin)
+    return Entry(directory, state, lock_holder(directory), config, origin)
 
 
 def _run(directory: Path) -> Entry:
@@ -92,7 +92,7 @@ def _run(directory: Path) -> Entry:
         state = "finished"
     except (TFLabError, OSError, ValueError, KeyError, TypeError, AttributeError):
         state = "damaged" if (directory / "metrics.json").exists() else "unfinished"
-    return Entry(directory, state, holder(directory), config, origin, fscore)
+    return Entry(directory, state, lock_holder(directory), config, origin, fscore)
 
 
 def _config(directory: Path) -> TrainConfig | None:

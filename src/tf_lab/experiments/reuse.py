@@ -50,13 +50,18 @@ def print_reuse(what: str, directory: Path) -> None:
     except TFLabError:
         origin = {}
     training = origin.get("training", origin)
-    makers = [origin, *training.get("sittings", [])]
+    makers = [origin, *sessions_of(training)]
     if any(maker.get("code") != code_version() for maker in makers):
         now = commits_of([{"commit": commit()}])
         print(
             f"note: another code made it (commit {commits_of(makers)}, now {now}); "
             f"to make it anew: {removal(directory)}"
         )
+
+
+def sessions_of(training: Origin) -> list[Origin]:
+    """The times at which a training of this provenance was worked on, by which code."""
+    return training.get("sessions", training.get("sittings", []))  # as older versions called them
 
 
 def commits_of(origins: Iterable[Origin]) -> str:

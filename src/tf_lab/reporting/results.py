@@ -17,7 +17,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import Scores
 from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
 from tf_lab.experiments.provenance import without_places
-from tf_lab.experiments.reuse import Origin, removal
+from tf_lab.experiments.reuse import Origin, removal, sessions_of
 from tf_lab.support.files import write_json
 
 # What makes a run another row, or another repetition of one, of the same study; and which metrics
@@ -37,7 +37,7 @@ class Run:
         settings: what has to be equal for runs to be comparable, by dotted name.
         scenes: scores by test scene; of an older run, or one without further metrics, some may
             lack.
-        makers: provenances of the evaluation, of the training, and of each sitting of it.
+        makers: provenances of the evaluation, of the training, and of each session of it.
         finished: when its ``metrics.json`` was written, seconds since 1970.
     """
 
@@ -102,7 +102,7 @@ def read_run(directory: Path) -> Run:
         config,
         _flat(settings),
         scenes,
-        (origin, training, *training.get("sittings", [])),
+        (origin, training, *sessions_of(training)),
         (directory / "metrics.json").stat().st_mtime,
     )
 

@@ -1,4 +1,4 @@
-"""Writing files so that a half-written one is never taken for a whole one, one writer at a time."""
+"""Writing files so that a half-written one never passes for a whole one."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock, Timeout
 
 from tf_lab.errors import TFLabError
 
@@ -130,37 +128,3 @@ def remove_directory(path: Path) -> None:
     temporary = path.with_name(_prefix() + path.name)
     path.rename(temporary)
     shutil.rmtree(temporary)
-
-
-@contextlib.contextmanager
-def held(directory: Path, work: str) -> Iterator[None]:
-    """Hold a directory's lock, which the kernel frees when its holder dies.
-
-    Says who holds it when it must wait: "waiting for process 7 on HOST, which ``work`` DIRECTORY".
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(directory / ".lock")
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        print(f"waiting for {holder(directory)}, which {work} {directory}", flush=True)
-        lock.acquire()
-    note = directory / ".holder"
-    try:
-        note.write_text(f"process {os.getpid()} on {socket.gethostname()}")
-        yield
-    finally:
-        note.unlink(missing_ok=True)
-        lock.release()
-
-
-def holder(directory: Path) -> str | None:
-    """Who holds a directory's lock; None: nobody."""
-    lock = FileLock(directory / ".lock")
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        note = directory / ".holder"
-        return (note.read_text() if note.exists() else "") or "another process"
-    lock.release()
-    return None

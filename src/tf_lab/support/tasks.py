@@ -15,7 +15,8 @@ from pathlib import Path
 import torch
 
 from tf_lab.errors import TFLabError
-from tf_lab.support.files import atomic_directory, held, remove_abandoned
+from tf_lab.support.files import atomic_directory, remove_abandoned
+from tf_lab.support.locks import directory_lock
 from tf_lab.support.processes import end_with
 from tf_lab.support.progress import progress_bar
 
@@ -58,7 +59,7 @@ def build_scenes(
         return {}
     with contextlib.ExitStack() as locks:
         for folder in sorted({job.directory.parent for job in missing}):
-            locks.enter_context(held(folder, "prepares"))
+            locks.enter_context(directory_lock(folder, "preparing"))
             remove_abandoned(folder)
         missing = [job for job in missing if not job.directory.is_dir()]
         tasks = {job.directory.name: partial(_build, job) for job in missing}

@@ -1,14 +1,15 @@
-"""The DataModule: endless training chunks, whole scenes for validation."""
+"""The DataModules: endless streams to train on, scenes or pairs for validation."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import lightning as L
 from torch.utils.data import DataLoader
 
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
+from tf_lab.data.pairs import PairBatch, PairStream
 from tf_lab.training.evaluation import scene_loader
 
 
@@ -43,3 +44,31 @@ class SceneDataModule(L.LightningDataModule):
     def val_dataloader(self) -> DataLoader[Path | None]:
         """Scene directories, one at a time; each is one process's."""
         return scene_loader(self.val, self.trainer)
+
+
+class PairDataModule(L.LightningDataModule):
+    """Pairs of images to train on, and fixed ones for validation.
+
+    Args:
+        train: the batches from a step on.
+        val: batches of every set that is validated on.
+        workers: loader processes; 0 loads in the training process.
+    """
+
+    def __init__(
+        self,
+        train: Callable[[int], PairStream],
+        val: Sequence[Sequence[PairBatch]],
+        workers: int,
+    ) -> None:
+        super().__init__()
+        self.train, self.val, self.workers = train, val, workers
+
+    def train_dataloader(self) -> DataLoader[PairBatch]:
+        """Batches from the trainer's current step on, so that a resumed run goes on with them."""
+        step = self.trainer.global_step if self.trainer is not None else 0
+        return DataLoader(self.train(step), batch_size=None, num_workers=self.workers)
+
+    def val_dataloader(self) -> list[DataLoader[PairBatch]]:
+        """A loader for every set."""
+        return [DataLoader(list(pairs), batch_size=None) for pairs in self.val]  # type: ignore[arg-type]

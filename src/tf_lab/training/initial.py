@@ -23,6 +23,7 @@ from tf_lab.config.schema import TrainConfig
 from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.weights import read_state_dict
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
@@ -56,13 +57,22 @@ def with_initial_digests(config: TrainConfig, content: Content) -> Content:
     Raises:
         TFLabError: one cannot be read.
     """
-    path, weights = initial_path(config), config.encoder.weights
-    if path is not None:
-        start = read_state(path) if _is_state(path) else _weights(path)
-        return replace(content, init=_digest(start))
-    if weights not in BUILT_IN:
-        return replace(content, encoder=_digest(read_state_dict(Path(weights))))
-    return content
+    path = initial_path(config)
+    if path is None:
+        return with_encoder_digest(config.encoder, content)
+    start = read_state(path) if _is_state(path) else _weights(path)
+    return replace(content, init=_digest(start))
+
+
+def with_encoder_digest(encoder: EncoderSettings, content: Content) -> Content:
+    """With a hash of what is in the file that an encoder's weights come from, if they do.
+
+    Raises:
+        TFLabError: it cannot be read.
+    """
+    if encoder.weights in BUILT_IN:
+        return content
+    return replace(content, encoder=_digest(read_state_dict(Path(encoder.weights))))
 
 
 def initial_state(config: TrainConfig) -> Path | None:

@@ -7,50 +7,47 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger, WandbLogger
+from lightning.pytorch.loggers import CSVLogger, Logger
 
+from tf_lab.config.groups import LoggerSettings
 from tf_lab.config.schema import TrainConfig
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import training_directory
+from tf_lab.training.objects import make
+
+WANDB = "WandbLogger"
 
 
 def make_loggers(config: TrainConfig, directory: Path) -> Sequence[Logger]:
     """The CSV logger, which the loss curve is drawn from, and the one that is asked for.
 
     Raises:
-        TFLabError: its package or its account is missing.
+        TFLabError: it is no logger; or its package or its account is missing.
     """
-    kind = config.logger.kind
     loggers: list[Logger] = [CSVLogger(directory, name="logs", flush_logs_every_n_steps=20)]
-    if kind == "tensorboard":
-        loggers.append(_tensorboard(directory))
-    if kind == "wandb":
-        loggers.append(_wandb(config, directory))
-    return loggers
-
-
-def _tensorboard(directory: Path) -> Logger:
+    settings = config.logger
+    if settings._target_ is None:
+        return loggers
+    arguments: dict[str, Any] = {"save_dir": directory}
+    if _is_wandb(settings):
+        arguments |= {"name": directory.name, "id": directory.name, "config": asdict(config)}
+        arguments |= {"project": settings.project, "offline": settings.offline}
+    node = {"_target_": settings._target_, **settings.others}
     try:
-        return TensorBoardLogger(directory, name="tensorboard")
+        logger = make(Logger, "logger", node, **arguments)
     except ModuleNotFoundError as error:
-        raise TFLabError(
-            "logger=tensorboard needs a package more: pip install tensorboard"
-        ) from error
+        name = settings._target_.rpartition(".")[2].removesuffix("Logger").lower()
+        raise TFLabError(f"logger={name} needs a package more: pip install {name}") from error
+    if _is_wandb(settings):
+        with _account():
+            _ = getattr(logger, "experiment")  # noqa: B009  # logs in
+    return [*loggers, logger]
 
 
-def _wandb(config: TrainConfig, directory: Path) -> Logger:
-    logger = WandbLogger(
-        name=directory.name,
-        id=directory.name,
-        save_dir=directory,
-        project=config.logger.project,
-        offline=config.logger.offline,
-        config=asdict(config),
-    )
-    with _account():
-        _ = logger.experiment  # logs in
-    return logger
+def _is_wandb(settings: LoggerSettings) -> bool:
+    return str(settings._target_).endswith(f".{WANDB}")
 
 
 @contextlib.contextmanager
@@ -71,7 +68,7 @@ def log_scores(config: TrainConfig, run: Path, mean: Mapping[str, float]) -> Non
     An evaluation is a W&B run of its own, because a training may have many; but under
     ``wandb agent`` all belongs to the one run that the agent has begun.
     """
-    if config.logger.kind != "wandb":
+    if not _is_wandb(config.logger):
         return
     import wandb
 

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import lightning as L
 import torch
 import torch.nn.functional as F
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
 
+from tf_lab.data.pairs import PairBatch
 from tf_lab.geometry import sample_maps
+from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.training.schedule import warm_cosine
 
+WARMUP = 50  # steps
 APART = 1.5  # candidates nearer to the truth than this many strides are not wrong enough
 
 
@@ -47,3 +57,65 @@ def matching_loss(
     target = torch.arange(P, device=maps.device).expand(B, P)
     loss = F.cross_entropy((logits / temperature).flatten(0, 1), target.flatten())
     return loss, (logits.argmax(-1) == target).float().mean()
+
+
+class Matching(L.LightningModule):
+    """Trains an encoder so that both its maps tell corresponding pixels from others.
+
+    Args:
+        encoder: trained in place.
+        lr: peak learning rate of the pyramid.
+        trunk_factor: the trunk's over it; 0: the trunk stays as it is.
+        steps: in all.
+        temperature: of the softmax over candidates.
+        sets: names of what is validated on, one a loader.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        lr: float,
+        trunk_factor: float,
+        steps: int,
+        temperature: float,
+        sets: Sequence[str],
+    ) -> None:
+        super().__init__()
+        self.encoder, self.lr, self.steps = encoder, lr, steps
+        self.trunk_factor, self.temperature, self.sets = trunk_factor, temperature, sets
+        for parameter in encoder.trunk_parameters():
+            parameter.requires_grad_(trunk_factor > 0)
+
+    def _losses(self, batch: PairBatch) -> dict[str, Tensor]:
+        size = (batch.images.shape[-1], batch.images.shape[-2])
+        maps = self.encoder(batch.images.flatten(0, 1))
+        terms: dict[str, Tensor] = {}
+        with torch.autocast(self.device.type, enabled=False):  # the best of many needs digits
+            for name, level in zip(("coarse", "fine"), maps, strict=True):
+                pairs = level.float().unflatten(0, (-1, 2))
+                terms[name], terms[f"{name}_top1"] = matching_loss(
+                    pairs, batch.uv_a, batch.uv_b, size, self.temperature
+                )
+        terms["loss"] = terms["coarse"] + terms["fine"]
+        return terms
+
+    def training_step(self, batch: PairBatch, batch_idx: int) -> Tensor:
+        """InfoNCE at both levels."""
+        terms = self._losses(batch)
+        self.log_dict({f"train/{k}": v.detach() for k, v in terms.items()})
+        return terms["loss"]
+
+    def validation_step(self, batch: PairBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        """The same on scenes never trained on; the best match of P + E candidates."""
+        terms = {f"{self.sets[dataloader_idx]}/{k}": v for k, v in self._losses(batch).items()}
+        self.log_dict(terms, batch_size=1, add_dataloader_idx=False)
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Adam, short warm-up, cosine to zero."""
+        trunk = [p for p in self.encoder.trunk_parameters() if p.requires_grad]
+        groups: list[dict[str, Any]] = [{"params": list(self.encoder.pyramid_parameters())}]
+        groups += [{"params": trunk, "lr": self.lr * self.trunk_factor}] if trunk else []
+        adam = torch.optim.Adam(groups, self.lr)
+        factor = partial(warm_cosine, warmup=WARMUP, steps=self.steps)
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, factor)
+        return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

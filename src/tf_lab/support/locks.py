@@ -1,0 +1,49 @@
+"""One process at a time in a directory."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+
+@contextlib.contextmanager
+def directory_lock(directory: Path, activity: str) -> Iterator[None]:
+    """Hold a directory's lock, which the kernel frees when its holder dies.
+
+    Says who holds it when it must wait: "waiting for process 7 on HOST: training DIRECTORY".
+
+    Args:
+        directory: made if it is missing.
+        activity: of whoever holds it, such as "training".
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(directory / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        print(f"waiting for {lock_holder(directory)}: {activity} {directory}", flush=True)
+        lock.acquire()
+    note = directory / ".holder"
+    try:
+        note.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+        yield
+    finally:
+        note.unlink(missing_ok=True)
+        lock.release()
+
+
+def lock_holder(directory: Path) -> str | None:
+    """Who holds a directory's lock; None: nobody."""
+    lock = FileLock(directory / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        note = directory / ".holder"
+        return (note.read_text() if note.exists() else "") or "another process"
+    lock.release()
+    return None

@@ -1,0 +1,201 @@
+"""Fitting a LightningModule, whatever it is: by one process at a time, resumed, saved whole."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from lightning.pytorch.loggers import Logger
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+
+from tf_lab.config.groups import TrainerSettings
+from tf_lab.errors import TFLabError
+from tf_lab.support.files import atomic_path, remove_abandoned
+from tf_lab.support.locks import directory_lock
+from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
+from tf_lab.training.objects import arguments_of
+
+LAST = "last.ckpt"
+IDENTITY = "identity"  # in a checkpoint: of what it was trained with
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How long a module is fitted, and what happens on the way.
+
+    Attributes:
+        steps: in all.
+        save_every: steps between checkpoints to resume from.
+        validate_every: steps between validations; 0: none.
+        clip: largest gradient norm; 0: any.
+        identity: of all that shapes the weights, where the directory's name does not say it: a
+            checkpoint of another is not resumed.
+    """
+
+    steps: int
+    save_every: int
+    validate_every: int = 0
+    clip: float = 0.0
+    identity: str | None = None
+
+
+def is_helper() -> bool:
+    """Whether this is a process of a distributed training other than the first."""
+    return getattr(rank_zero_only, "rank", 0) > 0
+
+
+@contextlib.contextmanager
+def rank_zero_lock(directory: Path, activity: str) -> Iterator[None]:
+    """Work in a directory while no other training does; what killed ones half wrote is removed.
+
+    The first process of a distributed training holds the lock for all.
+    """
+    if is_helper():
+        yield
+        return
+    with directory_lock(directory, activity):
+        remove_abandoned(directory)
+        yield
+
+
+def fit(
+    module: L.LightningModule,
+    data: Callable[[], L.LightningDataModule],
+    directory: Path,
+    trainer: TrainerSettings,
+    settings: FitSettings,
+    *,
+    loggers: Sequence[Logger],
+    callbacks: Sequence[Callback] = (),
+    start: Callable[[], Path | None] = lambda: None,
+) -> L.Trainer:
+    """Fit a module from its last checkpoint in the directory on; inside `rank_zero_lock`.
+
+    Args:
+        module: trained in place.
+        data: makes the data, after all has been told that is wrong with the trainer.
+        directory: for checkpoints, of which the last stays there.
+        trainer: on what and how it computes.
+        settings: see `FitSettings`.
+        loggers: of losses and scores.
+        callbacks: beside those that save and show the progress.
+        start: finds the state to go on from if there is none in the directory; None: from nothing.
+
+    Returns:
+        The trainer, at its last step.
+
+    Raises:
+        TFLabError: wrong settings of the trainer, or a damaged checkpoint.
+        KeyboardInterrupt: it was interrupted; the next call goes on.
+    """
+    made = _trainer(directory, trainer, settings, loggers, callbacks)
+    batches = data()
+    last = directory / LAST
+    resumes = last.exists() and _is_ours(last, settings.identity)
+    state = last if resumes else start()
+    if state is not None:
+        print(f"{'resuming' if resumes else 'going on from'} {state}")
+    made.fit(module, batches, ckpt_path=state, weights_only=True)
+    if made.global_step < settings.steps:
+        raise KeyboardInterrupt  # Lightning turns the signal into a silent end
+    made.save_checkpoint(last)  # to train on
+    return made
+
+
+def _is_ours(last: Path, identity: str | None) -> bool:
+    """Whether a checkpoint is to be resumed from.
+
+    Raises:
+        TFLabError: it cannot be read.
+    """
+    try:
+        state = torch.load(last, map_location="cpu", weights_only=True)
+    except Exception as error:  # any damage
+        raise TFLabError(
+            f"{last}: damaged ({type(error).__name__}); delete it to start this training again"
+        ) from error
+    if identity is None or state.get(IDENTITY) == identity:
+        return True
+    print(f"{last}: of other settings or data; this training starts anew")
+    return False
+
+
+class AtomicSaves(TorchCheckpointIO):
+    """Writes checkpoints beside their final place, so that a kill never leaves half of one.
+
+    Lightning's own way moves them there from the system's temporary directory, which on another
+    file system means copying.
+    """
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None
+    ) -> None:
+        """Write ``checkpoint`` to ``path``, whole or not at all."""
+        with atomic_path(Path(path)) as temporary:
+            torch.save(checkpoint, temporary)
+
+    def load_checkpoint(self, *arguments: Any, **others: Any) -> dict[str, Any]:
+        """Read a checkpoint, also one of an older version."""
+        return upgraded_callbacks(super().load_checkpoint(*arguments, **others))
+
+
+class _Identity(Callback):
+    """Writes into every checkpoint what it was trained with."""
+
+    def __init__(self, identity: str) -> None:
+        self.identity = identity
+
+    def on_save_checkpoint(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        checkpoint[IDENTITY] = self.identity
+
+
+def _trainer(
+    directory: Path,
+    trainer: TrainerSettings,
+    settings: FitSettings,
+    loggers: Sequence[Logger],
+    callbacks: Sequence[Callback],
+) -> L.Trainer:
+    saving = ModelCheckpoint(
+        directory,
+        filename=LAST.removesuffix(".ckpt"),
+        every_n_train_steps=settings.save_every,
+        save_top_k=1,
+        enable_version_counter=False,
+        save_on_train_epoch_end=False,
+    )
+    identity = [] if settings.identity is None else [_Identity(settings.identity)]
+    every = min(settings.validate_every, settings.steps)
+    try:
+        return L.Trainer(
+            max_steps=settings.steps,
+            val_check_interval=every or None,
+            limit_val_batches=1.0 if every else 0,
+            check_val_every_n_epoch=None,
+            num_sanity_val_steps=0,
+            gradient_clip_val=settings.clip or None,
+            callbacks=[saving, *identity, *callbacks, TrainingProgress()],
+            plugins=[AtomicSaves()],
+            logger=list(loggers),
+            log_every_n_steps=5,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            use_distributed_sampler=False,
+            accelerator=trainer.accelerator,
+            devices=trainer.devices,
+            precision=trainer.precision,  # type: ignore[arg-type]  # Lightning says what it takes
+            strategy=trainer.strategy,
+            **arguments_of("trainer.others", trainer.others),
+        )
+    except (MisconfigurationException, TypeError, ValueError) as error:
+        raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error

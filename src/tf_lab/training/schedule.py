@@ -1,0 +1,30 @@
+"""Learning rates over their peak, by step."""
+
+from __future__ import annotations
+
+import math
+
+from tf_lab.config.groups import OptimizerSettings
+
+
+def learning_rate_factor(settings: OptimizerSettings, step: int) -> float:
+    """The learning rate at a step (from 0) over the peak, as ``optimizer.schedule`` says.
+
+    Linear warm-up, then the inverse square root of the step (paper, Sec. 3.5) or half a cosine.
+    """
+    warmup = max(1, settings.warmup)
+    warm = min(1.0, (step + 1) / warmup)
+    if settings.schedule == "inverse_sqrt":
+        return warm * (warmup / max(step + 1, warmup)) ** 0.5
+    done = max(0, step - settings.warmup) / max(1, settings.steps - settings.warmup)
+    return warm * half_cosine(min(1.0, done))
+
+
+def warm_cosine(step: int, warmup: int, steps: int) -> float:
+    """Half a cosine over all steps, the first of which warm up linearly."""
+    return min(1.0, (step + 1) / warmup) * half_cosine(step / steps)
+
+
+def half_cosine(done: float) -> float:
+    """From 1 (at 0) to 0 (at 1)."""
+    return 0.5 * (1 + math.cos(math.pi * done))

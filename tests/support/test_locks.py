@@ -1,0 +1,53 @@
+"""A directory's lock says who holds it, and ends with its holder."""
+
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from queue import Queue
+
+import pytest
+
+from tf_lab.support import locks
+from tf_lab.support.locks import directory_lock, lock_holder
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from tf_lab.support.locks import directory_lock
+with directory_lock(Path(sys.argv[1]), "training"):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_lock_says_who_holds_it_and_outlives_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = tmp_path / "training"
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(directory)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    who = f"process {process.pid} on {socket.gethostname()}"
+    assert lock_holder(directory) == who
+
+    told: Queue[str] = Queue()
+    monkeypatch.setattr(locks, "print", lambda line, **_: told.put(line), raising=False)
+    entered = threading.Event()
+
+    def wait() -> None:
+        with directory_lock(directory, "training"):
+            entered.set()
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    assert told.get(timeout=60) == f"waiting for {who}: training {directory}"
+    assert not entered.is_set()
+    process.kill()
+    waiting.join(60)
+    assert entered.is_set()
+    process.wait()
+    assert lock_holder(directory) is None
