@@ -38,10 +38,12 @@ def help_text(
         cfg = compose(name, list(words), return_hydra_config=True)
         loader = GlobalHydra.instance().config_loader()
         groups = reversed(cfg.hydra.runtime.choices.items())  # in the order of the config
-        chosen = {group: option for group, option in groups if not group.startswith("hydra/")}
-        options = [(group, o) for group in chosen for o in loader.get_group_options(group)]
+        picked = {group: [option] for group, option in groups if not group.startswith("hydra/")}
+        if "metrics" in cfg:  # of which there may be several, or none
+            picked["metrics"] = list(cfg.metrics)
+        options = [(group, o) for group in picked for o in loader.get_group_options(group)]
     choices = [
-        (f"{'*' if chosen[g] == o else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
+        (f"{'*' if o in picked[g] else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
     ]
     meanings = {key: field.metadata.get("about", "") for key, field in settings_of(cfg)}
     with open_dict(cfg):
