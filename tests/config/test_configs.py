@@ -77,7 +77,8 @@ CONTRACT = {
     "data": ["rooms", "flats", "scannet", "captures"],
     "trainer": ["auto", "gpu", "ddp"],
     "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
-    "launcher": ["", "local", "slurm", "ray"],
+    "launcher": ["local", "slurm", "ray"],
+    "metrics": ["", "normals"],
     "sweep": ["", "main_ablation", "inputs", "views", "all"],
     "row": [
         *("ours", "avg", "pred", "no_refine", "no_filter", "no_depth", "no_ray", "matching"),
