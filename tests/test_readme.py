@@ -1,7 +1,6 @@
 """What README and docs say is run or checked as it stands there."""
 
 import re
-import runpy
 import shlex
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 import trimesh
 from omegaconf import DictConfig
 
+from helpers.layouts import plain, room_frames
 from helpers.made_up_runs import write_run
 from helpers.tiny_jobs import call
 from tf_lab.config.compose import compose_hydra
@@ -46,15 +46,15 @@ def composed(command: str, words: list[str]) -> DictConfig:
     return compose_hydra(command, *given)
 
 
-def test_the_notebooks_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "reconstruct.md").read_text(), re.DOTALL)
-    script = tmp_path / "script.py"
-    script.write_text(code)
+def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "reconstruct.md").read_text(), re.DOTALL)
+    plain.write(tmp_path / "DIR", room_frames())
     monkeypatch.chdir(tmp_path)
-    runpy.run_path(str(script))
-    mesh = trimesh.load("room.ply", process=False)
-    assert isinstance(mesh, trimesh.Trimesh)
-    assert len(mesh.faces) > 10_000
+    exec("".join(blocks), {})
+    for name in ("room.ply", "mesh.ply"):
+        mesh = trimesh.load(name, process=False)
+        assert isinstance(mesh, trimesh.Trimesh)
+        assert len(mesh.faces) > 10_000, name
 
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if not c.startswith("tf_lab.runs")])

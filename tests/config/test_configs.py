@@ -69,7 +69,7 @@ def test_ray_is_told_what_a_job_needs() -> None:
 
 # the options that README and sweeps rely on; the first of a group is its default
 CONTRACT = {
-    "fusion": ["transformer", "avg", "pred"],
+    "fusion": ["transformer", "avg", "pred", "gru"],
     "inputs": ["all", "no_depth", "no_ray", "matching"],
     "select": ["attn", "rnd", "diverse"],
     "model": ["tiny", "small", "paper"],
