@@ -19,7 +19,7 @@ from tf_lab.config.schema import COMMANDS as SCHEMAS
 from tf_lab.config.schema import PARTS, register
 from tf_lab.errors import TFLabError
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.training.module import schedule_factor
+from tf_lab.training.schedule import learning_rate_factor
 
 CONF = conf_dir()
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -76,8 +76,11 @@ CONTRACT = {
     "encoder": ["resnet_tiny", "resnet_small", "resnet18", "efficientnet_lite0"],
     "data": ["rooms", "flats", "scannet", "captures"],
     "trainer": ["auto", "gpu", "ddp"],
+    "optimizer": ["tiny", "small", "paper"],
+    "training": ["tiny", "small", "paper"],
+    "callbacks": ["none", "learning_rate"],
     "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
-    "launcher": ["", "local", "slurm", "ray"],
+    "launcher": ["local", "slurm", "ray"],
     "sweep": ["", "main_ablation", "inputs", "views", "all"],
     "row": [
         *("ours", "avg", "pred", "no_refine", "no_filter", "no_depth", "no_ray", "matching"),
@@ -179,18 +182,18 @@ def test_a_model_takes_any_encoder(model: str, encoder: str | None) -> None:
 def test_the_papers_schedule() -> None:
     """Linear to 1e-4 over 5k steps, then with the inverse square root of the step."""
     settings = composed("train", "model=paper").optimizer
-    assert schedule_factor(settings, 2499) == pytest.approx(0.5)
-    assert schedule_factor(settings, 4999) == pytest.approx(1)
-    assert schedule_factor(settings, 19_999) == pytest.approx(0.5)
-    assert schedule_factor(settings, 124_999) == pytest.approx(0.2)
+    assert learning_rate_factor(settings, 2499) == pytest.approx(0.5)
+    assert learning_rate_factor(settings, 4999) == pytest.approx(1)
+    assert learning_rate_factor(settings, 19_999) == pytest.approx(0.5)
+    assert learning_rate_factor(settings, 124_999) == pytest.approx(0.2)
 
 
 def test_the_cosine_schedule_ends_at_zero() -> None:
     settings = composed("train", "optimizer.steps=1000", "optimizer.warmup=50").optimizer
     assert settings.schedule == "cosine"
-    assert schedule_factor(settings, 24) == pytest.approx(0.5)
-    assert schedule_factor(settings, 525) == pytest.approx(0.5, abs=1e-6)
-    assert schedule_factor(settings, 1000) == pytest.approx(0, abs=1e-6)
+    assert learning_rate_factor(settings, 24) == pytest.approx(0.5)
+    assert learning_rate_factor(settings, 525) == pytest.approx(0.5, abs=1e-6)
+    assert learning_rate_factor(settings, 1000) == pytest.approx(0, abs=1e-6)
 
 
 def test_configs_are_found_from_any_directory(
@@ -234,3 +237,11 @@ def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
 def test_what_cannot_be_computed_with_is_told(wrong: str) -> None:
     with pytest.raises(TFLabError, match=wrong.removeprefix("maps_d").split("=")[0]):
         capture_settings(composed("train", f"online.{wrong}"))
+
+
+def test_the_optimizer_is_the_models_or_another() -> None:
+    tiny = compose_config("train", "model=tiny")
+    assert (tiny.optimizer.steps, tiny.training.images) == (2500, 12)
+    mixed = compose_config("train", "model=tiny", "optimizer=paper", "training=small")
+    assert (mixed.model.name, mixed.optimizer.steps, mixed.training.images) == ("tiny", 200000, 16)
+    assert mixed.optimizer == compose_config("train", "model=paper").optimizer

@@ -39,7 +39,8 @@ def help_text(
         loader = GlobalHydra.instance().config_loader()
         groups = reversed(cfg.hydra.runtime.choices.items())  # in the order of the config
         chosen = {group: option for group, option in groups if not group.startswith("hydra/")}
-        options = [(group, o) for group in chosen for o in loader.get_group_options(group)]
+        shown = [group for group in chosen if group not in unused]
+        options = [(group, o) for group in shown for o in loader.get_group_options(group)]
     choices = [
         (f"{'*' if chosen[g] == o else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
     ]
