@@ -18,6 +18,7 @@ from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.sources.embedded import FLATS, ROOMS, EmbeddedSplit
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
+from tf_lab.network.chunks import Views
 from tf_lab.network.network import Network
 from tf_lab.online.captures import median_views
 from tf_lab.training.losses import losses
@@ -83,9 +84,7 @@ def test_one_chunk_overfits(box_scene: Path, tiny_network: Callable[..., Network
     accuracy = 0.0
     for step in range(400):
         p = network(
-            batch.images,
-            batch.K,
-            batch.world_T_cam,
+            Views(batch.images, batch.K, batch.world_T_cam),
             COARSE_GRID,
             FINE_GRID,
             batch.points,

@@ -98,7 +98,7 @@ def test_a_real_run(
     run = outputs.parent / main_job.path("run")
     shutil.copytree(run, tmp_path / "outputs" / "runs" / run.name)
     small = functools.partial(gallery.draw_scene, size=(96, 72))
-    monkeypatch.setattr("tf_lab.commands.report.draw_scene", small)
+    monkeypatch.setattr("tf_lab.reporting.gallery.draw_scene", small)
     done = call("report", "keep=true")
     assert done.status == 0, done.err
     metrics = json.loads((run / "metrics.json").read_text())

@@ -80,6 +80,12 @@ def test_shapes(batch: ChunkBatch) -> None:
         assert value.dtype == torch.float32
 
 
+def test_times_are_those_of_the_images(batch: ChunkBatch, scene: Scene) -> None:
+    for frames, times in zip(frames_of(batch, scene), batch.times, strict=True):
+        assert frames != sorted(frames) or len(frames) < 3
+        assert [frames[i] for i in times.argsort()] == sorted(frames)
+
+
 def test_cameras_belong_to_the_images(batch: ChunkBatch, scene: Scene) -> None:
     """One rigid motion about the vertical takes all cameras of a chunk to the scene's."""
     for b, frames in enumerate(frames_of(batch, scene)):
@@ -340,7 +346,7 @@ def test_a_damaged_image_is_told_with_its_scene(box_scene: Path, tmp_path: Path)
 def test_moving_a_batch(batch: ChunkBatch) -> None:
     moved = batch.to(torch.device("meta"))
     tensors = [v for v in vars(moved).values() if isinstance(v, Tensor)]
-    assert len(tensors) == 8
+    assert len(tensors) == 9
     assert {v.device.type for v in tensors} == {"meta"}
     assert (moved.keep, moved.rule) == (batch.keep, batch.rule)
     assert moved.images.dtype == torch.uint8

@@ -6,12 +6,12 @@ from torchmetrics.utilities import dim_zero_sum
 
 from tf_lab.evaluation import METRICS, PAPER
 from tf_lab.evaluation.collection import SceneMean, scene_means
-from tf_lab.evaluation.contract import comparison
+from tf_lab.evaluation.contract import example
 from tf_lab.evaluation.metrics import Comparison
 from tf_lab.evaluation.scores import mean_scores, score
 from tf_lab.evaluation.settings import NormalsSettings, PaperSettings
 
-SCENES = [comparison(0.0), comparison(0.03), None, comparison(0.2)]
+SCENES = [example(0.0), example(0.03), None, example(0.2)]
 
 
 def test_the_mean_over_scenes_and_each_scene_on_the_way() -> None:
@@ -40,7 +40,7 @@ def test_states_are_sums_and_the_direction_is_the_registrys() -> None:
     assert metric.higher_is_better is METRICS["acc"].higher_is_better is False
     assert metric.full_state_update is False
     assert metric._reductions == {"total": dim_zero_sum, "scenes": dim_zero_sum}
-    metric.update(comparison(0.1))
+    metric.update(example(0.1))
     assert not metric.state_dict()  # nothing of it goes into checkpoints
 
 

@@ -6,7 +6,6 @@ import trimesh
 
 from tf_lab.evaluation.metrics import Comparison
 from tf_lab.evaluation.normals import normal_consistency
-from tf_lab.evaluation.settings import NormalsSettings
 
 
 def square(tilt: float, height: float = 0.0, n: int = 21) -> trimesh.Trimesh:
@@ -28,7 +27,7 @@ def consistency(
     points, faces = trimesh.sample.sample_surface(mesh, 500, seed=0)[:2]
     seen = np.ones(500, bool) if visible is None else visible
     found = Comparison(points, seen, np.asarray(truth.vertices), mesh, faces, truth)
-    return normal_consistency(found, NormalsSettings())
+    return normal_consistency(found)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.0])

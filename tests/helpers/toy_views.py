@@ -6,6 +6,7 @@ from typing import Any
 import torch
 
 from tf_lab.geometry import VoxelGrid
+from tf_lab.network.chunks import Views
 
 COARSE = VoxelGrid((-0.3, -0.3, -0.3), 0.3, (7, 7, 7))
 FINE = VoxelGrid((0.0, 0.0, 0.0), 0.1, (15, 15, 15))
@@ -24,10 +25,9 @@ def toy(batch: int = 2, views: int = 3, seed: int = 0) -> dict[str, Any]:
             down = torch.tensor([0.0, 0.0, -1.0])
             poses[b, i, :3, :3] = torch.stack([right, down, forward], dim=1)
             poses[b, i, :3, 3] = 0.75 - 1.2 * forward
+    images = torch.randint(0, 256, (batch, views, 3, 24, 32), generator=generator).float()
     return {
-        "images": torch.randint(0, 256, (batch, views, 3, 24, 32), generator=generator).float(),
-        "K": K.expand(batch, views, 3, 3),
-        "world_T_cam": poses,
+        "views": Views(images, K.expand(batch, views, 3, 3), poses),
         "coarse_grid": COARSE,
         "fine_grid": FINE,
         "points": 1.5 * torch.rand(batch, 40, 3, generator=generator),

@@ -22,6 +22,7 @@ from tf_lab.network.checkpoint import (
     shipped_checkpoint,
     shipped_encoder,
 )
+from tf_lab.network.chunks import Views
 from tf_lab.network.network import Network
 from tf_lab.online import ReconstructionSettings, Reconstructor
 
@@ -36,9 +37,11 @@ def outputs(network: Network) -> dict[str, Tensor]:
     poses[0, :, :3, 3] = torch.tensor([[0.7, 0.7, -1.0], [0.5, 0.8, -0.8]])
     with torch.inference_mode():
         predictions = network(
-            torch.randint(0, 256, (1, 2, 3, 24, 32), generator=generator).float(),
-            torch.tensor([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]]).expand(1, 2, 3, 3),
-            poses,
+            Views(
+                torch.randint(0, 256, (1, 2, 3, 24, 32), generator=generator).float(),
+                torch.tensor([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]]).expand(1, 2, 3, 3),
+                poses,
+            ),
             VoxelGrid((-0.3, -0.3, -0.3), 0.3, (7, 7, 7)),
             VoxelGrid((0.0, 0.0, 0.0), 0.1, (15, 15, 15)),
             torch.rand(1, 50, 3, generator=generator) * 1.5,

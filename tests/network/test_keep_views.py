@@ -41,8 +41,8 @@ def keeping(name: str, views: int) -> BatchSelection:
 def test_nothing_is_dropped_without_keep(tiny_network: Callable[..., Network]) -> None:
     network = tiny_network()
     measured = example(network, "fine")
-    kept, slots = network.keep_views("fine", measured, CENTERS, KEYS, None)
-    assert kept is measured and slots is None
+    kept, slots, chosen = network.keep_views("fine", measured, CENTERS, KEYS, None)
+    assert kept is measured and slots is None and chosen is None
 
 
 @pytest.mark.parametrize("name", [policy.name for policy in POLICIES])
@@ -51,7 +51,7 @@ def test_the_chosen_views_measurements_are_kept(
 ) -> None:
     network = tiny_network()
     measured = example(network, "fine")
-    kept, slots = network.keep_views("fine", measured, CENTERS, KEYS, keeping(name, 4))
+    kept, slots, _ = network.keep_views("fine", measured, CENTERS, KEYS, keeping(name, 4))
     assert slots is not None and kept.ray.shape == (40, 4, 3)
     logits = network.selection_logits("fine", network.embed("fine", measured))
     views, filled = keeping(name, 4)(logits, measured.valid, CENTERS, KEYS)
@@ -66,7 +66,7 @@ def test_attention_keeps_the_highest_logits_and_the_last(
     """The paper's rule drops before it adds: the last view that sees the voxel always stays."""
     network = tiny_network(heads=1)  # with one head the order of weights is that of the logits
     measured = example(network, "coarse")
-    kept, slots = network.keep_views("coarse", measured, CENTERS, KEYS, keeping("attention", 3))
+    kept, slots, _ = network.keep_views("coarse", measured, CENTERS, KEYS, keeping("attention", 3))
     logits = network.selection_logits("coarse", network.tokens["coarse"](*measured))
     assert slots is not None and logits is not None
     for p in range(40):
@@ -81,6 +81,6 @@ def test_a_fusion_without_preference_keeps_by_chance(
 ) -> None:
     network = tiny_network(fusion="avg")
     measured = example(network, "fine")
-    kept, slots = network.keep_views("fine", measured, CENTERS, KEYS, keeping("attention", 4))
-    by_chance, _ = network.keep_views("fine", measured, CENTERS, KEYS, keeping("random", 4))
+    kept, slots, _ = network.keep_views("fine", measured, CENTERS, KEYS, keeping("attention", 4))
+    by_chance, _, _ = network.keep_views("fine", measured, CENTERS, KEYS, keeping("random", 4))
     assert torch.equal(kept.phi[slots], by_chance.phi[slots])

@@ -1,6 +1,7 @@
 """The network's forward pass on a toy of known geometry."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,14 +11,22 @@ from torch import Tensor, nn
 from helpers.toy_views import COARSE, FINE, toy
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
-from tf_lab.network.network import LEVELS, Predictions, subgrid
+from tf_lab.network.chunks import Predictions, Views
+from tf_lab.network.fusion import FUSIONS
+from tf_lab.network.network import LEVELS, subgrid
 from tf_lab.network.settings import NetworkConfig
+from tf_lab.online.views import make_policy
+from tf_lab.online.views.batch import BatchSelection
 from tf_lab.training.losses import losses
 
 Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module
 
 SIZE = (32, 24)
-FUSIONS = ("transformer", "avg", "pred")
+STRATEGIES = [part.name for part in FUSIONS]
+
+
+def changed(views: Views, change: Callable[[Tensor], Tensor]) -> Views:
+    return Views(change(views.images), change(views.K), change(views.world_T_cam))
 
 
 def sees(points: Tensor, K: Tensor, world_T_cam: Tensor, far: float = 5.0) -> Tensor:
@@ -31,7 +40,7 @@ def sees(points: Tensor, K: Tensor, world_T_cam: Tensor, far: float = 5.0) -> Te
 
 
 def seen_by_any(points: Tensor, inputs: dict[str, Any], b: int) -> Tensor:
-    cameras = zip(inputs["K"][b], inputs["world_T_cam"][b], strict=True)
+    cameras = zip(inputs["views"].K[b], inputs["views"].world_T_cam[b], strict=True)
     return torch.stack([sees(points.reshape(-1, 3), k, pose) for k, pose in cameras]).any(0)
 
 
@@ -41,7 +50,7 @@ def assert_same(a: Predictions, b: Predictions, at: slice | int = slice(None)) -
         torch.testing.assert_close(value, other, atol=1e-4, rtol=1e-4, msg=name)
 
 
-@pytest.mark.parametrize("fusion", FUSIONS)
+@pytest.mark.parametrize("fusion", STRATEGIES)
 def test_shapes(tiny_network: Factory, fusion: str) -> None:
     p = tiny_network(fusion=fusion)(**toy())
     assert p.coarse.shape == p.coarse_seen.shape == (2, 7, 7, 7)
@@ -69,7 +78,7 @@ def test_what_no_view_sees_is_told(tiny_network: Factory) -> None:
 def test_the_depth_range_limits_what_is_seen(tiny_network: Factory) -> None:
     inputs = toy(batch=1, views=2)
     p = tiny_network(far=1.4)(**inputs)
-    cameras = zip(inputs["K"][0], inputs["world_T_cam"][0], strict=True)
+    cameras = zip(inputs["views"].K[0], inputs["views"].world_T_cam[0], strict=True)
     expected = torch.stack([sees(inputs["points"][0], k, pose, far=1.4) for k, pose in cameras])
     assert torch.equal(p.seen[0], expected.any(0))
 
@@ -97,7 +106,7 @@ def test_fine_level_is_where_truth_or_prediction_says_so(
         assert torch.equal(without_truth.fine_active, p.fine_active)
 
 
-@pytest.mark.parametrize("fusion", FUSIONS)
+@pytest.mark.parametrize("fusion", STRATEGIES)
 @pytest.mark.parametrize("refine", [True, False])
 @pytest.mark.parametrize("masks", [True, False])
 def test_gradient_reaches_every_parameter(
@@ -129,20 +138,38 @@ def test_without_refinement_no_convolution_spans_voxels(tiny_network: Factory) -
     assert (3, 3, 3) in kernels(tiny_network())
 
 
-@pytest.mark.parametrize("fusion", FUSIONS)
+@pytest.mark.parametrize("fusion", STRATEGIES)
 def test_chunks_of_a_batch_do_not_mix(tiny_network: Factory, fusion: str) -> None:
     network, inputs = tiny_network(fusion=fusion), toy()
     both = network(**inputs)
     for b in range(2):
         one = {k: v[b : b + 1] if isinstance(v, Tensor) else v for k, v in inputs.items()}
+        one["views"] = changed(inputs["views"], lambda x, b=b: x[b : b + 1])
         assert_same(network(**one), both, slice(b, b + 1))
 
 
 def test_the_order_of_views_does_not_matter(tiny_network: Factory) -> None:
     network, inputs = tiny_network(), toy()
-    order = [2, 0, 1]
-    permuted = {k: inputs[k][:, order] for k in ("images", "K", "world_T_cam")}
-    assert_same(network(**{**inputs, **permuted}), network(**inputs))
+    permuted = changed(inputs["views"], lambda x: x[:, [2, 0, 1]])
+    assert_same(network(**{**inputs, "views": permuted}), network(**inputs))
+
+
+@pytest.mark.parametrize("keep", [None, 2])
+def test_a_strategy_that_reads_in_order_reads_by_time(
+    tiny_network: Factory, keep: int | None
+) -> None:
+    """However the views of a chunk lie in memory, and whichever of them a voxel keeps."""
+    network, inputs = tiny_network(fusion="gru"), toy(views=4)
+    select = None if keep is None else BatchSelection(make_policy("random", 0), keep)
+    times = torch.tensor([[3, 0, 2, 1], [0, 1, 2, 3]])
+    some = network(**{**inputs, "views": replace(inputs["views"], times=times), "keep": select})
+    other = network(**{**inputs, "keep": select})
+    assert (some.coarse - other.coarse)[0].abs().max() > 1e-4
+    assert torch.equal(some.coarse[1], other.coarse[1])  # they are in order
+    if keep is None:
+        order = times.argsort(1)
+        views = changed(inputs["views"], lambda x: torch.stack([x[b, order[b]] for b in range(2)]))
+        assert_same(network(**{**inputs, "views": views}), some)
 
 
 def test_occupancy_asks_the_features_around_a_point(tiny_network: Factory) -> None:
@@ -163,7 +190,7 @@ def test_occupancy_asks_the_features_around_a_point(tiny_network: Factory) -> No
 
 def test_levels_have_their_own_maps_tokens_and_fusion(tiny_network: Factory) -> None:
     network = tiny_network()
-    maps = network.encode(toy(batch=1)["images"][0])
+    maps = network.encode(toy(batch=1)["views"].images[0])
     assert set(maps) == set(LEVELS)
     assert maps["coarse"].shape == (3, 8, 3, 4)
     assert maps["fine"].shape == (3, 6, 12, 16)

@@ -4,9 +4,23 @@ import pytest
 import torch
 from torch import Tensor
 
-from tf_lab.network.tokens import Tokens, measure
+from tf_lab.geometry import sample_maps
+from tf_lab.network.tokens import Measurements, Tokens, measure
 
 C, D = 5, 16
+
+
+def measured(maps: Tensor, points: Tensor, K: Tensor, world_T_cam: Tensor) -> Measurements:
+    """By views of 8x4 pixels."""
+    return measure(
+        points,
+        K,
+        world_T_cam,
+        torch.linalg.inv(world_T_cam),
+        (8, 4),
+        (0.3, 5.0),
+        lambda uv: sample_maps(maps, uv, (8, 4)),
+    )
 
 
 def make(depth: bool = True, ray: bool = True) -> Tokens:
@@ -74,7 +88,7 @@ def test_measurements_of_two_views_by_hand() -> None:
     poses[1, :3, 3] = torch.tensor([2.0, 0.0, 4.0])
     maps = torch.arange(16.0).view(2, 1, 2, 4)  # rows of 4: 0..3, 4..7 and 8..11, 12..15
     points = torch.tensor([[2.0, 0.0, 0.0], [2.0, -0.5, 0.25], [2.0, 30.0, 0.0], [-3.0, 0.0, 0.0]])
-    phi, depth, valid, ray = measure(maps, points, K, poses, (8, 4), (0.3, 5.0))
+    phi, depth, valid, ray = measured(maps, points, K, poses)
     # First view: right = -y, down = -z, so (u, v) = (3.5 + 4 * -y / 2, 1.5 + 4 * -z / 2).
     # Point 0: the image's centre, hence the mean of the map. Point 1: (4.5, 1.0), on the map
     # ((u + .5) / 2 - .5, (v + .5) / 2 - .5) = (2, .25), value 2 + .25 * 4 = 3.
@@ -94,8 +108,6 @@ def test_measurements_of_two_views_by_hand() -> None:
 @pytest.mark.parametrize("depth", [0.29, 0.31, 4.9, 5.1])
 def test_the_depth_range_bounds_validity(depth: float) -> None:
     K = torch.tensor([[[4.0, 0, 3.5], [0, 4.0, 1.5], [0, 0, 1]]])
-    valid = measure(
-        torch.zeros(1, 1, 2, 4), torch.tensor([[0, 0, depth]]), K, torch.eye(4)[None], (8, 4),
-        (0.3, 5.0),
-    )[2]  # fmt: skip
+    point = torch.tensor([[0, 0, depth]])
+    valid = measured(torch.zeros(1, 1, 2, 4), point, K, torch.eye(4)[None]).valid
     assert valid.item() is (0.3 < depth < 5.0)

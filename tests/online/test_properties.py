@@ -11,6 +11,7 @@ from torch import Tensor
 
 from helpers.online.dense import embed
 from helpers.online.scenes import Factory, assert_same_surface, balanced, reconstruct, settings_of
+from tf_lab.benchmarks.known import KnownSurface, LazyOnKnownSurface
 from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -137,9 +138,10 @@ def test_a_long_walk(tiny_network: Factory) -> None:
     """2000 frames, twice through four rooms: bounded memory, and one mesh without seams."""
     budget = 2 << 20
     network = tiny_network(far=4.0)
-    r = Reconstructor(network, settings_of(views=4, maps="float16", maps_budget=budget))
+    r = LazyOnKnownSurface(network, settings_of(views=4, maps="float16", maps_budget=budget))
     rooms = Rooms(4)
-    r.pipeline.known = rooms.solid
+    assert isinstance(r.pipeline, KnownSurface)
+    r.pipeline.solid = rooms.solid
     sizes = []
     for _ in range(2):
         for frame in walk(range(4), 250, (64, 48)):

@@ -26,6 +26,7 @@ from helpers.online.scenes import (
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
+from tf_lab.network.chunks import Views
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views.selection import (
     AttentionSelection,
@@ -157,12 +158,12 @@ def test_test_time_computes_what_training_computes(
     coarse_grid = VoxelGrid((-0.3, -0.3, -0.3), 0.3, (7, 7, 7))
     points = 0.35 + 0.8 * torch.rand(50, 3, generator=generator)  # clear of the chunk's border
     fine_grid = VoxelGrid((0.0, 0.0, 0.0), 0.1, (15, 15, 15))
-    batch = (images.permute(0, 3, 1, 2)[None], K[None], poses[None])
+    views = Views(images.permute(0, 3, 1, 2)[None], K[None], poses[None])
     head = network.refinement.coarse_mask[-1]
-    logits = network(*batch, coarse_grid, fine_grid, points[None], None).coarse
+    logits = network(views, coarse_grid, fine_grid, points[None], None).coarse
     middle = logits.flatten().sort().values[logits.numel() // 2 :][:2].mean()
     head.bias.sub_(middle)  # half of the voxels are near, none by a rounding error
-    trained = network(*batch, coarse_grid, fine_grid, points[None], None)
+    trained = network(views, coarse_grid, fine_grid, points[None], None)
     r = DenseReconstructor(network, coarse_grid, ReconstructionSettings())
     for image, k, pose in zip(images, K, poses, strict=True):
         r.add_frame(image.numpy(), k.numpy(), pose.numpy())

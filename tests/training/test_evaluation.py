@@ -17,7 +17,8 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import mean_scores
 from tf_lab.evaluation.settings import NormalsSettings
 from tf_lab.meshes.files import read_mesh
-from tf_lab.online.captures import CaptureSettings, Reconstruction
+from tf_lab.online.captures import Reconstruction
+from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, scene_loader
 
 Evaluate = Callable[..., tuple[SceneEvaluation, Path]]
@@ -79,7 +80,7 @@ def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]
 
     def run(name: str, count: int, **devices: Any) -> tuple[SceneEvaluation, Path]:
         network: Any = torch.nn.Identity()
-        module = SceneEvaluation(network, CaptureSettings(), MORE, tmp_path / name, "Ours")
+        module = SceneEvaluation(network, ReconstructionSettings(), MORE, tmp_path / name, "Ours")
         evaluate_network(module, scenes[:count], accelerator="cpu", **devices)
         return module, tmp_path / name
 

@@ -8,7 +8,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from tf_lab.network.network import Predictions
+from tf_lab.network.chunks import Predictions
 from tf_lab.training.losses import losses, mask_loss, occupancy_loss, sdf_loss
 
 NAN = float("nan")

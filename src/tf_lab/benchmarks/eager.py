@@ -24,19 +24,22 @@ class EagerReconstructor(Reconstructor):
 
     literal = True
 
-    def _see_coarse(self, frame: int, voxels: Tensor) -> None:
-        super()._see_coarse(frame, voxels)
+    def see_coarse(self, frame: int, voxels: Tensor) -> None:
+        """And bring the coarse level up to date."""
+        super().see_coarse(frame, voxels)
         if self.literal:
             self.pipeline.update_coarse(None)
 
-    def _replay(self, coords: Tensor) -> None:
+    def replay(self, coords: Tensor) -> None:
+        """Lazily."""
         literal, self.literal = self.literal, False
-        super()._replay(coords)
+        super().replay(coords)
         self.literal = literal
 
-    def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
+    def offer(self, level: Level, frame: int, rows: Tensor) -> None:
+        """And fuse all that the voxels hold then."""
         if not self.literal:
-            super()._offer(level, frame, rows)
+            super().offer(level, frame, rows)
             return
         is_open = level.flags["open"][torch.div(rows, level.blocks.volume, rounding_mode="floor")]
         level.offer(frame, rows[~is_open])  # nobody asks for what is no longer near a surface
@@ -53,7 +56,8 @@ class EagerReconstructor(Reconstructor):
         logits = level.logits(rows, torch.full_like(rows, frame)) if store.heads else None
         store.add(frame, rows, level.keys(rows), logits, level.centers(frame, rows))
         kept, filled = level.measurements(rows, store.views)
-        psi, _ = self.network.fuse(level.name, self.network.embed_kept(level.name, kept), filled)
+        tokens = self.network.embed_kept(level.name, kept)
+        psi, _ = self.network.fuse(level.name, tokens, filled, store.frames[rows])
         if store.heads:
             tokens = self.network.embed(level.name, kept)
             logits = self.network.selection_logits(level.name, tokens)

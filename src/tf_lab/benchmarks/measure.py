@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from tf_lab.benchmarks.eager import EagerReconstructor
+from tf_lab.benchmarks.known import EagerOnKnownSurface, KnownSurface, LazyOnKnownSurface
 from tf_lab.benchmarks.meter import Meter, clock
 from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.geometry import CHUNK, COARSE, FINE
@@ -61,8 +62,9 @@ def prepared(
     reconstruction = settings.reconstruction
     if views:
         reconstruction = replace(reconstruction, views=views)
-    r = (EagerReconstructor if eager else Reconstructor)(network, reconstruction)
-    r.pipeline.known = Rooms(rooms).solid
+    r = (EagerOnKnownSurface if eager else LazyOnKnownSurface)(network, reconstruction)
+    assert isinstance(r.pipeline, KnownSurface)
+    r.pipeline.solid = Rooms(rooms).solid
     if isinstance(r, EagerReconstructor):
         r.literal = False
     for frame in walk(range(rooms), settings.frames, settings.size):
@@ -100,10 +102,10 @@ def frame_meter(r: Reconstructor, read: Callable[[], float]) -> Meter:
     """Watches the stages of adding a frame."""
     meter = Meter(read)
     meter.watch(r, "add_frame", STAGES[0])  # with checking and sending the image
-    meter.watch(r, "_see", STAGES[1])  # with finding the voxels in view
-    meter.watch(r, "_see_coarse", STAGES[1])
+    meter.watch(r, "see", STAGES[1])  # with finding the voxels in view
+    meter.watch(r, "see_coarse", STAGES[1])
     meter.watch(r.pipeline, "update_coarse", STAGES[2])
-    meter.watch(r, "_see_fine", STAGES[3])
+    meter.watch(r, "see_fine", STAGES[3])
     meter.watch(r.pipeline, "discover", "earlier views")
     return meter
 
@@ -174,7 +176,7 @@ def fusion(network: Network, settings: BenchmarkSettings) -> dict[str, float]:
     now, times = clock(r.device), []
     for _ in range(2):
         start = now()
-        with r._precision():
+        with r.precision():
             r.fine.fuse(rows, len(rows))
         times.append(now() - start)
     return {"fuse 1000 voxels": 1000 * min(times) * FUSED / len(rows), "views": views}

@@ -116,9 +116,9 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     settings, metrics = capture_settings(config), [*config.metrics.values()]
     module = SceneEvaluation(network, settings, metrics, run, row_label(config))
     t = config.trainer
-    evaluate_network(
-        module, scenes, accelerator=t.accelerator, devices=t.devices, strategy=t.strategy
-    )
+    nodes = {name: value for name, value in t.others.items() if name == "num_nodes"}
+    devices = {"accelerator": t.accelerator, "devices": t.devices, "strategy": t.strategy}
+    evaluate_network(module, scenes, **devices, **nodes)
 
 
 def train(config: TrainConfig) -> Path:

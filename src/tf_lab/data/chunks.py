@@ -9,6 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch import Tensor
 from torch.utils.data import IterableDataset
 
 from tf_lab.data.jpeg import decode_jpeg
+from tf_lab.data.readers.images import natural_order
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
@@ -73,6 +75,7 @@ class ChunkBatch:
         images: uint8 [B, V, 3, H, W].
         K: [B, V, 3, 3].
         world_T_cam: [B, V, 4, 4], camera to chunk.
+        times: int64 [B, V], numbers that grow with the images' time, as their names tell it.
         coarse_target: bool [B, 7, 7, 7], surface within 30 cm of the voxel centre.
         fine_target: bool [B, 15, 15, 15], surface within 10 cm.
         points: [B, P, 3], metres.
@@ -85,6 +88,7 @@ class ChunkBatch:
     images: Tensor
     K: Tensor
     world_T_cam: Tensor
+    times: Tensor
     coarse_target: Tensor
     fine_target: Tensor
     points: Tensor
@@ -150,6 +154,7 @@ def make_batch(
         images=torch.from_numpy(images),
         K=torch.stack([r.K[v] for r, v in views]),
         world_T_cam=torch.stack([r.world_T_cam[v] for r, v in views]),
+        times=torch.stack([_times([r.frames[i] for i in v]) for r, v in views]),
         coarse_target=torch.stack([r.coarse_target for r in records]),
         fine_target=torch.stack([r.fine_target for r in records]),
         points=torch.stack([r.points for r in records]),
@@ -158,6 +163,13 @@ def make_batch(
         keep=keep,
         rule=rule,
     )
+
+
+def _times(names: Sequence[str]) -> Tensor:
+    """The place of each frame [V] in the natural order of their names, which is that of time."""
+    keys = [natural_order(PurePosixPath(name)) for name in names]
+    order = sorted(range(len(names)), key=keys.__getitem__)
+    return torch.tensor(order).argsort()
 
 
 def _chance(record: ChunkRecord, seed: int, step: int) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -119,32 +119,32 @@ class Comparison:
         return distances(self.truth, self.points)
 
 
-def accuracy(found: Comparison, settings: Any = None) -> float:
+def accuracy(found: Comparison) -> float:
     """Mean distance of the prediction to the ground truth, cm."""
     return 100 * float(found.to_truth.mean())
 
 
-def completeness(found: Comparison, settings: Any = None) -> float:
+def completeness(found: Comparison) -> float:
     """Mean distance of the ground truth to the prediction, cm."""
     return 100 * float(found.to_prediction.mean())
 
 
-def chamfer(found: Comparison, settings: Any = None) -> float:
+def chamfer(found: Comparison) -> float:
     """Mean of accuracy and completeness, cm."""
     return (accuracy(found) + completeness(found)) / 2
 
 
-def precision(found: Comparison, settings: Any = None) -> float:
+def precision(found: Comparison) -> float:
     """Share of the prediction that is within 5 cm of the ground truth."""
     return float((found.to_truth <= THRESHOLD).mean())
 
 
-def recall(found: Comparison, settings: Any = None) -> float:
+def recall(found: Comparison) -> float:
     """Share of the ground truth that is within 5 cm of the prediction."""
     return float((found.to_prediction <= THRESHOLD).mean())
 
 
-def fscore(found: Comparison, settings: Any = None) -> float:
+def fscore(found: Comparison) -> float:
     """Harmonic mean of precision and recall; 0 if both are 0."""
     prec, rec = precision(found), recall(found)
     return 2 * prec * rec / (prec + rec) if prec + rec > 0 else 0.0

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tf_lab.evaluation.metrics import Comparison, nearest
-from tf_lab.evaluation.settings import NormalsSettings
 
 
-def normal_consistency(found: Comparison, settings: NormalsSettings) -> float:
+def normal_consistency(found: Comparison) -> float:
     """Mean |cos| between a point's normal and that of the nearest point of the other surface.
 
     The mean of both directions (Mescheder et al., Occupancy Networks, 2019); of the prediction the

@@ -14,8 +14,8 @@ from tf_lab.support.registry import Part, Registry
 class MetricPart(Part):
     """A metric by name; the name is its key in ``metrics.json`` and in CSV files.
 
-    Its target is a function of (`tf_lab.evaluation.metrics.Comparison`, settings) that returns a
-    finite number in the unit of its column; see `tf_lab.evaluation.contract`.
+    Its target is a function of a `tf_lab.evaluation.metrics.Comparison`, and of its settings by
+    name, that returns a number in the unit of its column; see `tf_lab.evaluation.contract`.
 
     Attributes:
         heading: of its column.

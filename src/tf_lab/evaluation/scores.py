@@ -31,8 +31,7 @@ def score(found: Comparison | None, metrics: Sequence[Any] = ()) -> Scores:
 
 def value(found: Comparison | None, settings: Any) -> float:
     """One metric of a reconstruction; see `score`."""
-    part = METRICS.named(settings)
-    return part.empty if found is None else float(part.load()(found, settings))
+    return METRICS.named(settings).empty if found is None else float(METRICS.make(settings, found))
 
 
 def mean_scores(scenes: Iterable[Mapping[str, float]]) -> Scores:

@@ -30,10 +30,12 @@ from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.gpus import one_gpu
 from tf_lab.experiments.reuse import print_reuse
 from tf_lab.support.files import write_json
 from tf_lab.support.processes import Children
+from tf_lab.support.tables import NOTHING, aligned
 
 JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
 RECORD = "job.json"
@@ -162,8 +164,8 @@ def run_job(
         run = _finished(jobs, config)
         if status != 0 or run is None:
             record["failed"] = _reason(status)
-    metrics = json.loads((run / "metrics.json").read_text()) if run is not None else None
-    write_json(folder / RECORD, {**record, "fscore": metrics and metrics["mean"]["fscore"]})
+    metrics = read_metrics(run) if run is not None else None
+    write_json(folder / RECORD, {**record, "fscore": metrics and metrics["mean"].get("fscore")})
 
 
 def _finished(jobs: SweepJobs, config: Any) -> Path | None:
@@ -215,15 +217,15 @@ class JobTable(Callback):
 
 def format_jobs(records: Sequence[Mapping[str, Any]]) -> str:
     """The jobs of a sweep as aligned text: row, seed, and F-score or why and where it failed."""
-    width = max([3, *(len(record["row"]) for record in records)])
-    lines = [f"job  {'row'.ljust(width)}  seed  F-score"]
+    rows = []
     for r in records:
-        result = f"failed: {r['failed']}, see {r['log']}" if "failed" in r else f"{r['fscore']:.3f}"
-        lines.append(f"{r['job']:>3}  {r['row'].ljust(width)}  {r['seed']:>4}  {result}")
+        score = NOTHING if r.get("fscore") is None else f"{r['fscore']:.3f}"
+        result = f"failed: {r['failed']}, see {r['log']}" if "failed" in r else score
+        rows.append([str(r["job"]), r["row"], str(r["seed"]), result])
+    table = aligned(rows, "rlrl", ["job", "row", "seed", "F-score"])
     failed = sum("failed" in record for record in records)
-    if failed:
-        lines.append(f"{failed} of {len(records)} jobs failed; the same command tries them again")
-    return "\n".join(lines)
+    more = f"\n{failed} of {len(records)} jobs failed; the same command tries them again"
+    return table + (more if failed else "")
 
 
 def in_sweep() -> bool:

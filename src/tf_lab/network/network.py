@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
-
 import torch
 from torch import Tensor, nn
 
-from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project
+from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project, sample_maps
 from tf_lab.network.agreement import Agreement
+from tf_lab.network.chunks import KeepViews, Predictions, Views
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.fusion import make_fusion
 from tf_lab.network.fusion.strategy import Fusion
@@ -20,43 +17,6 @@ from tf_lab.network.settings import NetworkConfig
 from tf_lab.network.tokens import Measurements, Tokens, measure
 
 LEVELS = ("coarse", "fine")
-
-
-class KeepViews(Protocol):
-    """Chooses which of their V views voxels keep in training."""
-
-    needs_logits: bool
-
-    def __call__(
-        self, logits: Tensor | None, valid: Tensor, centers: Tensor, keys: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Views int64 [P, K_t], and which of these slots are filled, bool [P, K_t].
-
-        Args:
-            logits: [P, V, H] of selection; None if it needs none, or nothing ranks views.
-            valid: bool [P, V], which views see the voxel.
-            centers: [P, V, 3], the cameras' centres relative to the voxel, metres.
-            keys: int64 [P, 3], which voxels they are: chunk of the batch, voxel of it, level.
-        """
-        ...
-
-
-@dataclass
-class Predictions:
-    """What training compares with the ground truth.
-
-    Attributes:
-        coarse: near-surface logits [B, X, Y, Z] and ``coarse_seen`` bool, where some view sees.
-        fine: near-surface logits [B, 3X', 3Y', 3Z'] and ``fine_active`` bool, where computed.
-        occupancy: logits [B, P] and ``seen`` bool, where some view sees the point.
-    """
-
-    coarse: Tensor
-    coarse_seen: Tensor
-    fine: Tensor
-    fine_active: Tensor
-    occupancy: Tensor
-    seen: Tensor
 
 
 class Network(nn.Module):
@@ -105,9 +65,27 @@ class Network(nn.Module):
         tokens = self.embed(level, kept)
         return tokens + self.agreement[level](kept) if self.config.matching else tokens
 
-    def fuse(self, level: str, tokens: Tensor, slots: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Fused features [..., D] and view weights [..., K] of tokens [..., K, D]."""
-        return self.fusion[level](tokens, slots)
+    def fuse(
+        self, level: str, tokens: Tensor, slots: Tensor | None, times: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Fused features [..., D] and view weights [..., K] of tokens [..., K, D].
+
+        Args:
+            level: "coarse" or "fine".
+            tokens: of the views in some order.
+            slots: bool [..., K], which of them are filled; None: all.
+            times: int [..., K], numbers that grow with time, by which a strategy that reads views
+                in order gets them; None: they are in order.
+        """
+        strategy = self.strategy(level)
+        if times is None or not strategy.ordered:
+            return strategy(tokens, slots)
+        if slots is not None:
+            times = times.masked_fill(~slots, torch.iinfo(times.dtype).max)
+        order = times.argsort(dim=-1, stable=True)
+        tokens = torch.take_along_dim(tokens, order.unsqueeze(-1), dim=-2)
+        fused, weights = strategy(tokens, None if slots is None else slots.gather(-1, order))
+        return fused, torch.zeros_like(weights).scatter(-1, order, weights)
 
     def strategy(self, level: str) -> Fusion:
         """The fusion module of a level."""
@@ -133,22 +111,17 @@ class Network(nn.Module):
 
     def forward(
         self,
-        images: Tensor,
-        K: Tensor,
-        world_T_cam: Tensor,
+        views: Views,
         coarse_grid: VoxelGrid,
         fine_grid: VoxelGrid,
         points: Tensor,
         coarse_target: Tensor | None,
         keep: KeepViews | None = None,
-        maps: Mapping[str, Tensor] | None = None,
     ) -> Predictions:
         """One training pass over chunks that share a grid, each in its own frame.
 
         Args:
-            images: [B, V, 3, H, W], 0..255.
-            K: [B, V, 3, 3].
-            world_T_cam: [B, V, 4, 4], camera to chunk.
+            views: of the chunks.
             coarse_grid: the chunk's coarse voxels with a margin of whole voxels on all sides.
             fine_grid: the chunk's fine voxels.
             points: [B, P, 3] where occupancy is asked for.
@@ -156,63 +129,97 @@ class Network(nn.Module):
                 coarse mask is true, so that it meets in training what it will meet at test time.
             keep: which of its valid views every voxel keeps, as at test time; None: all V views,
                 invalid ones too (paper).
-            maps: the images' feature maps [B * V, C, h, w] by level, where they are known.
         """
-        B, V = images.shape[:2]
-        size = (images.shape[-1], images.shape[-2])
-        if maps is None:
-            maps = self.encode(images.flatten(0, 1))
-        depth_range = (self.config.near, self.config.far)
+        maps = self.encode(views.images.flatten(0, 1)) if views.maps is None else views.maps
+        psi, coarse_seen = self._fuse_coarse(maps["coarse"], views, coarse_grid, keep)
+        coarse, coarse_logits = self.refinement.coarse(psi, coarse_seen)
+        inner = (..., *subgrid(coarse_grid, fine_grid))
+        near = self._near(coarse_logits, coarse_seen, coarse_target)[inner]
+        psi, active = self._fuse_fine(maps["fine"], views, fine_grid, near, keep)
+        fine, fine_logits = self.refinement.fine(coarse[inner], psi, active)
+        occupancy = self.decode(coarse, coarse_grid, fine, fine_grid, points)
+        seen = self._seen(points, views)
+        return Predictions(coarse_logits, coarse_seen, fine_logits, active, occupancy, seen)
 
-        def fuse(
-            level: str, points: Tensor, where: Tensor, voxels: Tensor
-        ) -> tuple[Tensor, Tensor]:
-            """Fused features of the points [B, P, 3] ``where`` [B, P], and whether a view sees.
+    def _fuse_coarse(
+        self, maps: Tensor, views: Views, grid: VoxelGrid, keep: KeepViews | None
+    ) -> tuple[Tensor, Tensor]:
+        """Fused features [B, D, X, Y, Z], and which voxels a view sees, [B, X, Y, Z]."""
+        B = len(views.images)
+        centers = grid.centers().to(maps.device).flatten(0, 2).expand(B, -1, -1)
+        voxels = torch.arange(centers.shape[1], device=maps.device).expand(B, -1)
+        every = torch.ones_like(voxels, dtype=torch.bool)
+        fused, some = self._fuse_voxels("coarse", maps, views, centers, voxels, every, keep)
+        seen = some.view(B, *grid.shape)
+        psi = fused.view(B, *grid.shape, -1) * seen.unsqueeze(-1)
+        return psi.permute(0, 4, 1, 2, 3), seen
 
-            ``voxels`` [B, P] are their numbers in the chunk.
-            """
-            each = points.unsqueeze(1).expand(-1, V, -1, -1).flatten(0, 1)
-            cameras = (K.flatten(0, 1), world_T_cam.flatten(0, 1))
-            parts = measure(maps[level], each, *cameras, size, depth_range)
-            chosen = (m.unflatten(0, (B, V)).transpose(1, 2)[where] for m in parts)
-            measured = Measurements(*chosen)
-            centers = (world_T_cam[:, None, :, :3, 3] - points.unsqueeze(2))[where]
-            chunk = torch.arange(B, device=K.device)[:, None].expand_as(voxels)
-            named = [chunk, voxels, torch.full_like(voxels, LEVELS.index(level))]
-            keys = torch.stack(named, dim=-1)[where]
-            kept, slots = self.keep_views(level, measured, centers, keys, keep)
-            return self.fuse(level, self.embed_kept(level, kept), slots)[0], measured.valid.any(1)
+    def _fuse_fine(
+        self, maps: Tensor, views: Views, grid: VoxelGrid, near: Tensor, keep: KeepViews | None
+    ) -> tuple[Tensor, Tensor]:
+        """Fused features [B, D, X, Y, Z] of the voxels in near coarse ones, and which these are."""
+        centers = grid.centers().to(maps.device).flatten(0, 2)
+        active = self._seen(centers, views).view(-1, *grid.shape) & upsample(near, first_axis=1)
+        voxels, where = _first(active.flatten(1))
+        fused, _ = self._fuse_voxels("fine", maps, views, centers[voxels], voxels, where, keep)
+        psi = fused.new_zeros(*active.shape, fused.shape[-1])
+        psi[active] = fused
+        return psi.permute(0, 4, 1, 2, 3), active
 
-        def seen(where: Tensor) -> Tensor:
-            return self.visible(where.unsqueeze(-3), K, world_T_cam, size).any(1)
+    def _fuse_voxels(
+        self,
+        level: str,
+        maps: Tensor,
+        views: Views,
+        points: Tensor,
+        voxels: Tensor,
+        where: Tensor,
+        keep: KeepViews | None,
+    ) -> tuple[Tensor, Tensor]:
+        """Fused features [N, D] of voxels, and whether a view sees them, bool [N].
 
-        centers = coarse_grid.centers().to(K.device).flatten(0, 2).expand(B, -1, -1)
-        voxels = torch.arange(centers.shape[1], device=K.device).expand(B, -1)
-        fused, some = fuse("coarse", centers, torch.ones_like(voxels, dtype=torch.bool), voxels)
-        coarse_seen = some.view(B, *coarse_grid.shape)
-        volume = fused.view(B, *coarse_grid.shape, -1) * coarse_seen.unsqueeze(-1)
-        coarse, coarse_logits = self.refinement.coarse(volume.permute(0, 4, 1, 2, 3), coarse_seen)
+        Args:
+            level: "coarse" or "fine".
+            maps: [B * V, C, h, w], of the level.
+            views: of the chunks.
+            points: [B, P, 3], the voxels' centres.
+            voxels: int64 [B, P], their numbers in the chunk.
+            where: bool [B, P], which N of them.
+            keep: see `forward`.
+        """
+        measured = self._measure(maps, views, points).each(lambda values: values[where])
+        chunk = torch.arange(len(voxels), device=maps.device)[:, None].expand_as(voxels)
+        named = [chunk, voxels, torch.full_like(voxels, LEVELS.index(level))]
+        keys = torch.stack(named, dim=-1)[where]
+        centers = (views.world_T_cam[:, None, :, :3, 3] - points.unsqueeze(2))[where]
+        kept, slots, chosen = self.keep_views(level, measured, centers, keys, keep)
+        times = chosen
+        if views.times is not None:
+            times = views.times[keys[:, 0]]
+            times = times if chosen is None else times.gather(1, chosen)
+        fused, _ = self.fuse(level, self.embed_kept(level, kept), slots, times)
+        return fused, measured.valid.any(1)
 
-        inner = subgrid(coarse_grid, fine_grid)
-        centers = fine_grid.centers().to(K.device).flatten(0, 2)
-        active = seen(centers).view(B, *fine_grid.shape)
-        near = self._near(coarse_logits, coarse_seen, coarse_target)[(slice(None), *inner)]
-        active = active & upsample(near, first_axis=1)
-        order, where = _first(active.flatten(1))
-        fused, _ = fuse("fine", centers[order], where, order)
-        volume = fused.new_zeros(B, *fine_grid.shape, fused.shape[-1])
-        volume[active] = fused
-        fine, fine_logits = self.refinement.fine(
-            coarse[(slice(None), slice(None), *inner)], volume.permute(0, 4, 1, 2, 3), active
+    def _measure(self, maps: Tensor, views: Views, points: Tensor) -> Measurements:
+        """What all views of their chunks say of points [B, P, 3]: [B, P, V, ...]."""
+        B, V = views.images.shape[:2]
+        each = points.unsqueeze(1).expand(-1, V, -1, -1).flatten(0, 1)
+        K, world_T_cam = views.K.flatten(0, 1), views.world_T_cam.flatten(0, 1)
+        found = measure(
+            each,
+            K,
+            world_T_cam,
+            invert_pose(world_T_cam),
+            views.size,
+            (self.config.near, self.config.far),
+            lambda uv: sample_maps(maps, uv, views.size),
         )
-        return Predictions(
-            coarse_logits,
-            coarse_seen,
-            fine_logits,
-            active,
-            self.decode(coarse, coarse_grid, fine, fine_grid, points),
-            seen(points),
-        )
+        return found.each(lambda values: values.unflatten(0, (B, V)).transpose(1, 2))
+
+    def _seen(self, points: Tensor, views: Views) -> Tensor:
+        """Whether some view of their chunk sees points [B, P, 3] or [P, 3]: bool [B, P]."""
+        cameras = (views.K, views.world_T_cam, views.size)
+        return self.visible(points.unsqueeze(-3), *cameras).any(1)
 
     def _near(self, logits: Tensor, seen: Tensor, target: Tensor | None) -> Tensor:
         """Coarse voxels whose fine ones are computed: bool [B, X, Y, Z]."""
@@ -228,7 +235,7 @@ class Network(nn.Module):
         centers: Tensor,
         keys: Tensor,
         keep: KeepViews | None,
-    ) -> tuple[Measurements, Tensor | None]:
+    ) -> tuple[Measurements, Tensor | None, Tensor | None]:
         """The measurements that voxels keep in training: what the view store does at test time.
 
         Args:
@@ -239,23 +246,18 @@ class Network(nn.Module):
             keep: chooses; None keeps everything.
 
         Returns:
-            Measurements [P, K_t, ...] and which slots are filled, bool [P, K_t]; None: all.
+            Measurements [P, K_t, ...], which slots are filled, bool [P, K_t], and the views in
+            them, int64 [P, K_t]; None: all.
         """
         if keep is None:
-            return measured, None
+            return measured, None, None
         with torch.no_grad():
             logits = None
             if keep.needs_logits:
                 logits = self.selection_logits(level, self.embed(level, measured))
             views, slots = keep(logits, measured.valid, centers, keys)
-        index = views.unsqueeze(-1)
-        kept = Measurements(
-            torch.take_along_dim(measured.phi, index, dim=1),
-            measured.depth.gather(1, views),
-            measured.valid.gather(1, views) & slots,
-            torch.take_along_dim(measured.ray, index, dim=1),
-        )
-        return kept, slots
+        kept = measured.of_views(views)
+        return kept._replace(valid=kept.valid & slots), slots, views
 
     def decode(
         self,

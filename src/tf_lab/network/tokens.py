@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from tf_lab.geometry import in_view, invert_pose, project, sample_maps, view_rays
+from tf_lab.geometry import in_view, project, view_rays
 
 DEPTH_CENTER, DEPTH_SCALE = 2.0, 1.5  # metres; brings 0.3..5 m to about -1..2
 
@@ -26,6 +27,20 @@ class Measurements(NamedTuple):
     depth: Tensor
     valid: Tensor
     ray: Tensor
+
+    def each(self, change: Callable[[Tensor], Tensor]) -> Measurements:
+        """All four, changed alike."""
+        return Measurements(*map(change, self))
+
+    def of_views(self, views: Tensor) -> Measurements:
+        """Those of views int64 [P, K] out of [P, V, ...]."""
+        index = views.unsqueeze(-1)
+        return Measurements(
+            torch.take_along_dim(self.phi, index, dim=1),
+            self.depth.gather(1, views),
+            self.valid.gather(1, views),
+            torch.take_along_dim(self.ray, index, dim=1),
+        )
 
 
 class Tokens(nn.Module):
@@ -57,26 +72,28 @@ class Tokens(nn.Module):
 
 
 def measure(
-    maps: Tensor,
     points: Tensor,
     K: Tensor,
     world_T_cam: Tensor,
+    cam_T_world: Tensor,
     size: tuple[int, int],
     depth_range: tuple[float, float],
+    sample: Callable[[Tensor], Tensor],
 ) -> Measurements:
-    """Project points into views and sample their maps.
+    """What views say of points.
 
     Args:
-        maps: [N, C, h, w].
-        points: [P, 3] or [N, P, 3], metres.
-        K: [N, 3, 3], pixels of the image.
-        world_T_cam: [N, 4, 4].
+        points: [..., P, 3], metres.
+        K: [..., 3, 3], pixels of the image.
+        world_T_cam: [..., 4, 4].
+        cam_T_world: [..., 4, 4].
         size: (width, height) of the image, pixels.
         depth_range: nearest and farthest valid depth, metres.
+        sample: features [..., P, C] of the views at pixels [..., P, 2].
 
     Returns:
-        phi [N, P, C], depth [N, P], valid [N, P], ray [N, P, 3].
+        phi [..., P, C], depth [..., P], valid [..., P], ray [..., P, 3].
     """
-    uv, depth = project(points, K, invert_pose(world_T_cam))
+    uv, depth = project(points, K, cam_T_world)
     valid = in_view(uv, depth, size, *depth_range)
-    return Measurements(sample_maps(maps, uv, size), depth, valid, view_rays(points, world_T_cam))
+    return Measurements(sample(uv), depth, valid, view_rays(points, world_T_cam))

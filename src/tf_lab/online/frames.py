@@ -17,13 +17,10 @@ from torch import Tensor
 from tf_lab.geometry import (
     frustum_corners,
     frustum_planes,
-    in_view,
     invert_pose,
-    project,
-    view_rays,
 )
 from tf_lab.network.network import LEVELS, Network
-from tf_lab.network.tokens import Measurements
+from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.lattice.table import Table
 
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
@@ -134,12 +131,18 @@ class Frames:
 
     def _measure(self, level: str, points: Tensor, frames: Tensor) -> Measurements:
         c, config = self.cameras, self.network.config
-        one = points[:, None]
-        uv, depth = project(one, c["K"][frames], c["cam_T_world"][frames])
-        valid = in_view(uv, depth, self.size, config.near, config.far)
-        ray = view_rays(one, c["world_T_cam"][frames])
-        phi = self._sample(level, frames.to(self.maps_device), uv[:, 0].to(self.maps_device))
-        return Measurements(phi.to(self.device).float(), depth[:, 0], valid[:, 0], ray[:, 0])
+        here = frames.to(self.maps_device)
+
+        def sample(uv: Tensor) -> Tensor:
+            found = self._sample(level, here, uv[:, 0].to(self.maps_device))
+            return found.to(self.device).float()[:, None]
+
+        K, world_T_cam, cam_T_world = (
+            c[name][frames] for name in ("K", "world_T_cam", "cam_T_world")
+        )
+        depth_range = (config.near, config.far)
+        one = measure(points[:, None], K, world_T_cam, cam_T_world, self.size, depth_range, sample)
+        return one.each(lambda values: values[:, 0])
 
     def _sample(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
         """Bilinear samples [P, C] of the frames' maps at pixels [P, 2], as `sample_maps`."""

@@ -31,10 +31,6 @@ def grown(box: Box | None, margin: float) -> Box | None:
 class Pipeline:
     """The stages behind a mesh.
 
-    Attributes:
-        known: for measurements on a known surface: signed distances [P] (metres, positive in
-            solid) of points [P, 3], which replace what the networks say once they have said it.
-
     Args:
         network: in evaluation mode.
         coarse, fine: the levels, with their view sets.
@@ -58,7 +54,6 @@ class Pipeline:
         self.network, self.coarse, self.fine = network, coarse, fine
         self.threshold, self.batch, self.discover = threshold, batch, discover
         self.filter = network.config.filter
-        self.known: Callable[[Tensor], Tensor] | None = None
         self.reach = 2 * len(network.refinement.coarse_blocks)  # voxels, of the 3D CNNs
         self.mask_reach = 1 if self.reach else 0
         device = coarse.device
@@ -191,16 +186,13 @@ class Pipeline:
         used, table = torch.unique(above, return_inverse=True)
         features = coarse.features["refined"][used.clamp(min=0)]
         features[used < 0] = 0
-        values = decode(
+        return decode(
             features,
             table[parent],
             rows % fine.blocks.volume,
             fine.features["refined"][domain.rows],
             domain.table[self._positions(fine, domain.rows, rows)],
         )
-        if self.known is not None:
-            values = self.known(fine.samples(rows, decode.n).flatten(0, 1)).view_as(values)
-        return values
 
     def _crossing(self, numbers: Tensor) -> Tensor:
         """Voxels of fine blocks within one voxel of a change of occupancy (``filter=false``).
@@ -225,10 +217,7 @@ class Pipeline:
         domain = self._region(level, numbers, self.mask_reach)
         table = domain.table[self._positions(level, domain.rows, wanted)]
         logits = sparse.mask_logits(head, level.features["refined"][domain.rows], table)
-        near = torch.sigmoid(logits.float()) > self.threshold
-        if self.known is not None:
-            near = self.known(level.points(wanted)).abs() < level.voxel
-        return wanted, near
+        return wanted, torch.sigmoid(logits.float()) > self.threshold
 
     def _region(self, level: Level, numbers: Tensor, reach: int) -> sparse.Region:
         """Active voxels of blocks and of those within reach (voxels)."""

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import ClassVar, Self
 
 import numpy as np
 import torch
@@ -35,6 +36,7 @@ from tf_lab.online.lattice.level import Box, Level
 from tf_lab.online.pipeline import Pipeline
 from tf_lab.online.precision import dtype_of
 from tf_lab.online.settings import ReconstructionSettings, cells_per_voxel
+from tf_lab.online.state import read_state, restore, write_state
 from tf_lab.online.surface import Surface, whole_chunks
 from tf_lab.online.views import make_policy
 from tf_lab.online.views.selection import without_logits
@@ -46,10 +48,15 @@ COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 class Reconstructor:
     """Online reconstruction of one scene of any extent.
 
+    Attributes:
+        stages: what makes surface of view sets.
+
     Args:
         network: on its device, in evaluation mode.
         settings: test-time settings; its keyframes apply to captures, not to what is added here.
     """
+
+    stages: ClassVar[type[Pipeline]] = Pipeline
 
     def __init__(
         self,
@@ -67,14 +74,14 @@ class Reconstructor:
         self.coarse = self._level("coarse", COARSE)
         self.fine = self._level("fine", FINE)
         n = cells_per_voxel(FINE, settings.resolution)
-        self.pipeline = Pipeline(
+        self.pipeline = self.stages(
             network,
             self.coarse,
             self.fine,
             settings.threshold,
             n,
             settings.batch,
-            self._replay,
+            self.replay,
         )
         self.surface = Surface(self.fine, n)
 
@@ -86,9 +93,9 @@ class Reconstructor:
             TFLabError: the frame cannot be used; nothing has changed then.
         """
         tensor, k, pose = self._checked(image, K, world_T_cam)
-        with self._precision():
+        with self.precision():
             number = self.frames.add(tensor, k, pose)
-            self._see(number)
+            self.see(number)
 
     @torch.inference_mode()
     def mesh(
@@ -117,7 +124,7 @@ class Reconstructor:
     @torch.inference_mode()
     def update(self, box: Box | None = None) -> int:
         """Bring occupancy and mesh in a box (metres) up to date; how many chunks were meshed."""
-        with self._precision():
+        with self.precision():
             self.surface.touch(self.pipeline.update(whole_chunks(box)))
         return self.surface.update(box)
 
@@ -141,23 +148,27 @@ class Reconstructor:
         frames = torch.full((len(rows), self.settings.views), -1, device=self.device)
         weights = torch.zeros(len(rows), self.settings.views, device=self.device)
         known = rows >= 0
-        with self._precision():
+        with self.precision():
             weights[known] = store.fuse(rows[known], self.settings.batch)[1]
         frames[known] = store.store.frames[rows[known]].long()
         return frames.cpu().numpy(), weights.cpu().numpy()
 
     def save(self, path: Path) -> None:
-        """Write frames and view sets to a file, whole or not at all (see `state`)."""
-        from tf_lab.online.state import save_reconstruction
-
-        save_reconstruction(self, path)
+        """Write frames and view sets to a file, whole or not at all."""
+        write_state(path, self.settings, self.frames, (self.coarse, self.fine))
 
     @classmethod
-    def load(cls, path: Path, network: Network) -> Reconstructor:
-        """Go on with what `save` wrote, with the same network."""
-        from tf_lab.online.state import load_reconstruction
+    @torch.inference_mode()
+    def load(cls, path: Path, network: Network) -> Self:
+        """Go on with what `save` wrote, with the same network.
 
-        return load_reconstruction(path, network)
+        Raises:
+            TFLabError: the file is missing, damaged, or made with another network.
+        """
+        settings, tensors = read_state(path, network)
+        r = cls(network, settings)
+        restore(path, tensors, r.frames, (r.coarse, r.fine))
+        return r
 
     @property
     def memory(self) -> dict[str, int]:
@@ -170,31 +181,32 @@ class Reconstructor:
             "images": sum(image.nbytes for image in self.frames.images),
         }
 
-    def _see(self, frame: int) -> None:
+    def see(self, frame: int) -> None:
         """Offer a frame to all voxels that it sees, coarse ones and the fine ones in use."""
         voxels = voxels_in(*self.frames.frustum_box(frame), COARSE, self.device)
         known = self.fine.blocks.find(voxels)
         known = known[(known >= 0) & self._touched(voxels, frame)]
-        self._see_coarse(frame, voxels)
-        self._see_fine(frame, known)
+        self.see_coarse(frame, voxels)
+        self.see_fine(frame, known)
 
-    def _see_coarse(self, frame: int, voxels: Tensor) -> None:
+    def see_coarse(self, frame: int, voxels: Tensor) -> None:
         """Offer a frame to those of coarse voxels [P, 3] that it sees."""
         voxels = voxels[self.frames.visible((voxels.float() + 0.5) * COARSE, frame)]
         self.coarse.allocate(self.coarse.blocks.block_of(voxels))
-        self._offer(self.coarse, frame, self.coarse.blocks.row_of(voxels))
+        self.offer(self.coarse, frame, self.coarse.blocks.row_of(voxels))
 
-    def _see_fine(self, frame: int, blocks: Tensor) -> None:
+    def see_fine(self, frame: int, blocks: Tensor) -> None:
         """Offer a frame to those of the voxels of fine blocks [N] that it sees."""
         self._offer_seen(frame, self.fine.blocks.rows_in(blocks))
 
     def _offer_seen(self, frame: int, rows: Tensor) -> None:
-        self._offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
+        self.offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
 
-    def _offer(self, level: Level, frame: int, rows: Tensor) -> None:
+    def offer(self, level: Level, frame: int, rows: Tensor) -> None:
+        """Offer a frame to the voxels (rows [M]) of a level that it sees."""
         level.offer(frame, rows)
 
-    def _replay(self, coords: Tensor) -> None:
+    def replay(self, coords: Tensor) -> None:
         """Offer all frames so far to new fine blocks at coordinates [N, 3]."""
         blocks = self.fine.blocks.find(coords)
         for frame in range(len(self.frames)):
@@ -228,6 +240,7 @@ class Reconstructor:
         store = ViewStore(self.settings.views, heads, self.policy, self.device, dtype)
         return Level(name, voxel, self.frames, store, is_open=name == "coarse")
 
-    def _precision(self) -> AbstractContextManager[None]:
+    def precision(self) -> AbstractContextManager[None]:
+        """In which the networks compute."""
         dtype = dtype_of(self.settings.precision, self.device)
         return torch.autocast(self.device.type, dtype, enabled=dtype != torch.float32)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -15,8 +15,8 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
+from tf_lab.online.frames import Frames
 from tf_lab.online.lattice.level import Level
-from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.files import atomic_path
 
@@ -24,20 +24,18 @@ FORMAT = 2
 COLUMNS = ("frames", "logits", "seen")
 
 
-def save_reconstruction(reconstructor: Reconstructor, path: Path) -> None:
+def write_state(
+    path: Path, settings: ReconstructionSettings, frames: Frames, levels: Sequence[Level]
+) -> None:
     """Write a reconstruction as safetensors, whole or not at all; the network is not part of it."""
-    r = reconstructor
-    metadata = {
-        "format": FORMAT,
-        "settings": asdict(r.settings),
-        "network": fingerprint(r.network),
-    }
+    network = fingerprint(frames.network)
+    metadata = {"format": FORMAT, "settings": asdict(settings), "network": network}
     tensors: dict[str, Tensor] = {}
-    if len(r.frames):
-        tensors["images"] = torch.stack(r.frames.images)
+    if len(frames):
+        tensors["images"] = torch.stack(frames.images)
         for name in ("K", "world_T_cam"):
-            tensors[name] = r.frames.cameras[name]
-    for level in (r.coarse, r.fine):
+            tensors[name] = frames.cameras[name]
+    for level in levels:
         tensors[f"{level.name}.blocks"] = level.blocks.coords
         for name in COLUMNS:
             tensors[f"{level.name}.{name}"] = level.store.table[name]
@@ -46,45 +44,12 @@ def save_reconstruction(reconstructor: Reconstructor, path: Path) -> None:
         save_file(state, temporary, {"reconstruction": json.dumps(metadata)})
 
 
-def load_reconstruction(path: Path, network: Network) -> Reconstructor:
-    """Go on with a saved reconstruction.
-
-    Args:
-        path: what `save_reconstruction` wrote.
-        network: the one that it was made with, on its device, in evaluation mode.
+def read_state(path: Path, network: Network) -> tuple[ReconstructionSettings, dict[str, Tensor]]:
+    """The settings of what `write_state` wrote with this network, and its tensors for `restore`.
 
     Raises:
         TFLabError: the file is missing, damaged, or made with another network.
     """
-    metadata, tensors = _read(path)
-    if metadata["network"] != fingerprint(network):
-        raise TFLabError(f"{path}: made with another network; load it with that one's checkpoint")
-    try:
-        settings = ReconstructionSettings(**metadata["settings"])
-        r = Reconstructor(network, settings)
-        with torch.inference_mode():
-            if "images" in tensors:
-                cameras = tensors["images"], tensors["K"], tensors["world_T_cam"]
-                for image, K, pose in zip(*cameras, strict=True):
-                    r.frames.add(image, K, pose, encode=False)
-            for level in (r.coarse, r.fine):
-                _restore(level, tensors)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise TFLabError(f"{path}: damaged ({error}); reconstruct again") from error
-    return r
-
-
-def _restore(level: Level, tensors: dict[str, Tensor]) -> None:
-    """View sets by the numbers that blocks had; everything made of them is out of date."""
-    coords = tensors[f"{level.name}.blocks"].to(level.device)
-    level.allocate(coords)
-    rows = level.blocks.rows_in(level.blocks.find(coords))  # blocks may be numbered otherwise now
-    for name in COLUMNS:
-        level.store.table[name][rows] = tensors[f"{level.name}.{name}"].to(level.device)
-    level.store.dirty[:] = level.store.seen > 0
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     if not path.is_file():
         raise TFLabError(f"{path}: no such reconstruction")
     try:
@@ -92,9 +57,43 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             metadata = json.loads((file.metadata() or {})["reconstruction"])
             if metadata["format"] != FORMAT:
                 raise TFLabError(f"{path}: of another version of tf_lab; reconstruct again")
-            return metadata, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            if metadata["network"] != fingerprint(network):
+                raise TFLabError(
+                    f"{path}: made with another network; load it with that one's checkpoint"
+                )
+            settings = ReconstructionSettings(**metadata["settings"])
+            return settings, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise TFLabError(f"{path}: not a saved reconstruction ({error})") from error
+
+
+def restore(
+    path: Path, tensors: Mapping[str, Tensor], frames: Frames, levels: Sequence[Level]
+) -> None:
+    """Fill an empty reconstruction with what `read_state` read.
+
+    Raises:
+        TFLabError: something is missing.
+    """
+    try:
+        if "images" in tensors:
+            cameras = tensors["images"], tensors["K"], tensors["world_T_cam"]
+            for image, K, pose in zip(*cameras, strict=True):
+                frames.add(image, K, pose, encode=False)
+        for level in levels:
+            _restore(level, tensors)
+    except (KeyError, ValueError, RuntimeError) as error:
+        raise TFLabError(f"{path}: damaged ({error}); reconstruct again") from error
+
+
+def _restore(level: Level, tensors: Mapping[str, Tensor]) -> None:
+    """View sets by the numbers that blocks had; everything made of them is out of date."""
+    coords = tensors[f"{level.name}.blocks"].to(level.device)
+    level.allocate(coords)
+    rows = level.blocks.rows_in(level.blocks.find(coords))  # blocks may be numbered otherwise now
+    for name in COLUMNS:
+        level.store.table[name][rows] = tensors[f"{level.name}.{name}"].to(level.device)
+    level.store.dirty[:] = level.store.seen > 0
 
 
 def fingerprint(network: Network) -> str:

@@ -17,6 +17,7 @@ from tf_lab.reporting.paper import OURS
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.studies import Study
 from tf_lab.support.figures import new_figure, write_figure
+from tf_lab.support.progress import progress_bar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,6 +46,28 @@ def scene_runs(study: Study, scene: str) -> dict[str, Run]:
 def mesh_path(run: Run, scene: str) -> Path:
     """Where a run keeps the mesh of a test scene."""
     return run.directory / "meshes" / f"{scene}.ply"
+
+
+def draw_pictures(study: Study, folder: Path) -> int:
+    """Draw the test scenes of which there are meshes; of the others what is there stays."""
+    shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
+    with progress_bar() as bar:
+        for scene, runs in bar.track(shown.items(), description="drawing"):
+            truth = groundtruth_mesh(next(iter(runs.values())), scene)
+            draw_scene(runs, scene, truth, folder / f"{scene}.png")
+    return len(shown)
+
+
+def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
+    """The ground truth of a run's test scene, if it is on this machine."""
+    if not run.config.data.root:  # a kept copy
+        return None
+    from tf_lab.data.sources.source import open_source  # imports torch
+
+    digest = run.makers[0].get("scenes", {}).get(scene)
+    directory = open_source(run.config.data).directory(scene, digest)
+    path = directory / "groundtruth" / "mesh_gt.ply"
+    return read_mesh(path) if path.exists() else None
 
 
 def draw_scene(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 SAMPLES = 10_000
 SMALLEST_P = 1e-4  # a p-value below it would rest on less than one sample
@@ -107,5 +107,5 @@ def _widening(size: int, alpha: float) -> float:
     if size == 1:
         return 1.0
     quantile = 1 - alpha / 2
-    student = stats.t.ppf(quantile, size - 1) / stats.norm.ppf(quantile) if alpha < 1 else 1.0
+    student = stdtrit(size - 1, quantile) / ndtri(quantile) if alpha < 1 else 1.0
     return float(student) * math.sqrt(size / (size - 1))

@@ -12,7 +12,7 @@ import torch.distributed as dist
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.network.network import Predictions
+from tf_lab.network.chunks import Predictions
 
 NEAR_WEIGHT = 2.0  # of near-surface voxels in L_c and L_f (paper, Sec. 3.5)
 SDF_SCALE, SDF_CLIP = 0.03, 3.0  # metres per unit of logit, largest target

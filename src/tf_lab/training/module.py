@@ -13,6 +13,7 @@ from torch import Tensor
 
 from tf_lab.config.groups import OptimizerSettings
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch
+from tf_lab.network.chunks import Views
 from tf_lab.network.network import Network
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views import make_policy
@@ -59,16 +60,10 @@ class Training(SceneEvaluation):
     def training_step(self, batch: ChunkBatch, batch_idx: int) -> Tensor:
         """L = L_c + L_f + L_o of a batch."""
         known = self.known_maps
+        maps = None if known is None else known(batch.images.flatten(0, 1))
+        views = Views(batch.images, batch.K, batch.world_T_cam, batch.times, maps)
         predictions = self.network(
-            batch.images,
-            batch.K,
-            batch.world_T_cam,
-            COARSE_GRID,
-            FINE_GRID,
-            batch.points,
-            batch.coarse_target,
-            keep=kept_by(batch),
-            maps=None if known is None else known(batch.images.flatten(0, 1)),
+            views, COARSE_GRID, FINE_GRID, batch.points, batch.coarse_target, kept_by(batch)
         )
         terms = losses(
             predictions,

@@ -16,7 +16,14 @@ import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import COARSE, VoxelGrid, pixel_directions, transform
+from tf_lab.geometry import (
+    COARSE,
+    VoxelGrid,
+    invert_pose,
+    pixel_directions,
+    sample_maps,
+    transform,
+)
 from tf_lab.meshes.colors import color_vertices
 from tf_lab.meshes.isosurface import mesh_of
 from tf_lab.network.network import Network
@@ -43,7 +50,9 @@ def measured(
     size: tuple[int, int],
 ) -> Measurements:
     """What views with maps [N, C, h, w] measure at points [P, 3]: [N, P, ...]."""
-    return measure(maps, points, K, world_T_cam, size, (network.config.near, network.config.far))
+    depth_range = (network.config.near, network.config.far)
+    cameras = (K, world_T_cam, invert_pose(world_T_cam))
+    return measure(points, *cameras, size, depth_range, lambda uv: sample_maps(maps, uv, size))
 
 
 def embed(
@@ -265,7 +274,7 @@ class DenseReconstructor:
             for every, part in zip(kept, found, strict=True):
                 every[row, slot] = part[0]
         tokens = self.network.embed_kept(level, kept)
-        fused, _ = self.network.fuse(level, tokens, frames >= 0)
+        fused, _ = self.network.fuse(level, tokens, frames >= 0, frames)
         return fused
 
 

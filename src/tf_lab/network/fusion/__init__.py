@@ -2,10 +2,20 @@
 
 ``forward(tokens [..., K, D], slots [..., K] or None) -> (fused [..., D], weights [..., K])``:
 ``slots`` tells which of the K slots hold a measurement (None: all); weights are at least 0, sum to
-1 over the filled slots (to 0 where none is filled) and are 0 in empty ones.
+1 over the filled slots (to 0 where none is filled) and are 0 in empty ones. What empty slots hold
+has no influence, and any of the K may be empty.
 
-``selection_logits(tokens [..., K, D]) -> [..., K, H] or None``: per view and head, what the weights
-are made of; a view's logits depend on that view alone. None if the strategy has no preference.
+``ranks_views`` says whether ``selection_logits(tokens [..., K, D]) -> [..., K, H]`` is there: per
+view and head, what the weights are made of. A view's logits depend on that view alone, because they
+are computed once, when a frame comes. A strategy that does not rank gets views chosen by chance.
+
+The order of the views. A slot is filled by the frame that came when it was free, and later by the
+one that took its place, so that the slots of a voxel are in no order. A strategy to which order
+matters says ``ordered = True``: its views then come in the order of time, as the frames of a
+capture are numbered, in training as at test time, empty slots last. One that says nothing must not
+depend on it.
+
+`contract` has the checks of all this that every registered strategy is run through.
 """
 
 from __future__ import annotations
@@ -15,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from tf_lab.network.fusion.settings import (
     AverageSettings,
+    GRUSettings,
     PredictedSettings,
     TransformerSettings,
 )
@@ -36,24 +47,14 @@ class FusionPart(Part):
 
 
 FUSIONS: Registry[FusionPart] = Registry("fusion", "strategy")
-FUSIONS.add(
-    FusionPart(
-        "transformer", "tf_lab.network.fusion.transformer:TransformerFusion", TransformerSettings
-    )
-)
-FUSIONS.add(
-    FusionPart(
-        "avg", "tf_lab.network.fusion.mlp:AverageFusion", AverageSettings, label="w/o TRSF, avg"
-    )
-)
-FUSIONS.add(
-    FusionPart(
-        "pred",
-        "tf_lab.network.fusion.mlp:PredictedFusion",
-        PredictedSettings,
-        label="w/o TRSF, pred",
-    )
-)
+_HERE = "tf_lab.network.fusion"
+for _part in (
+    FusionPart("transformer", f"{_HERE}.transformer:TransformerFusion", TransformerSettings),
+    FusionPart("avg", f"{_HERE}.mlp:AverageFusion", AverageSettings, label="w/o TRSF, avg"),
+    FusionPart("pred", f"{_HERE}.mlp:PredictedFusion", PredictedSettings, label="w/o TRSF, pred"),
+    FusionPart("gru", f"{_HERE}.gru:GRUFusion", GRUSettings, label="w/o TRSF, GRU (ours)"),
+):
+    FUSIONS.add(_part)
 
 
 def make_fusion(settings: Any, width: int, blocks: int, heads: int, expansion: float) -> Fusion:

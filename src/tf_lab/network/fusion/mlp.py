@@ -6,11 +6,10 @@ fusing, not sizes.
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 from tf_lab.network.fusion.strategy import Fusion
-from tf_lab.network.fusion.weights import weights_from_logits
+from tf_lab.network.fusion.weights import weighted_sum, weights_from_logits
 
 
 class ViewMLP(nn.Module):
@@ -47,18 +46,16 @@ class AverageFusion(Fusion):
         self.mlp = ViewMLP(width, blocks, expansion)
         self.norm = nn.LayerNorm(width)
 
-    def selection_logits(self, tokens: Tensor) -> None:
-        """None: all views weigh the same."""
-        return None
-
     def forward(self, tokens: Tensor, slots: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """See `tf_lab.network.fusion`."""
         weights = weights_from_logits(tokens.new_zeros(*tokens.shape[:-1], 1), slots)
-        return self.norm(_weighted(self.mlp(tokens), weights)), weights
+        return self.norm(weighted_sum(self.mlp(tokens), weights)), weights
 
 
 class PredictedFusion(Fusion):
     """A weighted mean with weights predicted per view ("w/o TRSF, pred")."""
+
+    ranks_views = True
 
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
         super().__init__(width, blocks, heads, expansion)
@@ -74,9 +71,4 @@ class PredictedFusion(Fusion):
         """See `tf_lab.network.fusion`."""
         features = self.mlp(tokens)
         weights = weights_from_logits(self.score(features), slots)
-        return self.norm(_weighted(features, weights)), weights
-
-
-def _weighted(features: Tensor, weights: Tensor) -> Tensor:
-    """sum_i w_i x_i over the views: [..., K, D], [..., K] -> [..., D]."""
-    return torch.einsum("...kd,...k->...d", features, weights.to(features.dtype))
+        return self.norm(weighted_sum(features, weights)), weights

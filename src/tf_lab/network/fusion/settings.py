@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tf_lab.errors import TFLabError
 from tf_lab.support.settings import setting
 
 STRATEGY = "of fusing the views of a voxel"
@@ -21,6 +22,18 @@ class AverageSettings:
     """A perceptron a view, then their mean."""
 
     strategy: str = setting("avg", STRATEGY, shapes="weights")
+
+
+@dataclass(frozen=True)
+class GRUSettings:
+    """A recurrent network that reads the views in the order of time (ours)."""
+
+    strategy: str = setting("gru", STRATEGY, shapes="weights")
+    layers: int = setting(2, "recurrent layers", shapes="weights")
+
+    def __post_init__(self) -> None:
+        if self.layers < 1:
+            raise TFLabError(f"fusion.layers={self.layers}: at least one")
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,15 @@ class Fusion(nn.Module):
     Attributes:
         ranks_views: whether it has `selection_logits`. Where it has none, what attention would
             choose is chosen by chance.
+        ordered: whether the order of the views matters to it; then they come in that of time.
 
     Args:
         width: D.
         blocks, heads, expansion: of the transformer; strategies without one match its size.
     """
 
-    ranks_views: ClassVar[bool] = True
+    ranks_views: ClassVar[bool]
+    ordered: ClassVar[bool] = False
 
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
         super().__init__()
@@ -29,6 +31,10 @@ class Fusion(nn.Module):
     def forward(self, tokens: Tensor, slots: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Fused features [..., D] and weights [..., K] of views [..., K, D]."""
 
-    @abstractmethod
-    def selection_logits(self, tokens: Tensor) -> Tensor | None:
-        """What the weights are made of, [..., K, H]; None if it does not rank views."""
+    def selection_logits(self, tokens: Tensor) -> Tensor:
+        """What the weights are made of, [..., K, H]; never asked of a strategy that does not rank.
+
+        Raises:
+            NotImplementedError: it does not rank views.
+        """
+        raise NotImplementedError

@@ -90,6 +90,8 @@ class TransformerFusion(Fusion):
         expansion: hidden width of the feed-forward layers over D.
     """
 
+    ranks_views = True
+
     def __init__(self, width: int, blocks: int, heads: int, expansion: float) -> None:
         super().__init__(width, blocks, heads, expansion)
         self.token = nn.Parameter(torch.randn(width) * 0.02)

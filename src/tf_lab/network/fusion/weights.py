@@ -22,3 +22,8 @@ def weights_from_logits(logits: Tensor, slots: Tensor | None) -> Tensor:
     logits = logits.masked_fill(~slots.unsqueeze(-1), -torch.inf)
     weights = torch.softmax(logits, dim=-2).mean(-1)
     return weights.masked_fill(~slots, 0.0)  # also where no slot is filled: softmax gives NaN
+
+
+def weighted_sum(features: Tensor, weights: Tensor) -> Tensor:
+    """sum_i w_i x_i over the views: [..., K, D], [..., K] -> [..., D]."""
+    return torch.einsum("...kd,...k->...d", features, weights.to(features.dtype))

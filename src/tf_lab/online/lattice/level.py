@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.frames import Frames
-from tf_lab.online.lattice.blocks import Blocks, dilate, offsets
+from tf_lab.online.lattice.blocks import Blocks, dilate
 from tf_lab.online.lattice.table import Table
 from tf_lab.online.views.store import ViewStore
 
@@ -64,11 +64,6 @@ class Level:
         """Voxel centres [P, 3], metres."""
         return (self.blocks.voxels(rows).float() + 0.5) * self.voxel
 
-    def samples(self, rows: Tensor, n: int) -> Tensor:
-        """Centres [P, n^3, 3] (metres) of the n^3 cells of every voxel, x slowest."""
-        inner = ((offsets(n, rows.device) + 0.5) / n - 0.5) * self.voxel
-        return self.points(rows)[:, None] + inner
-
     @property
     def active(self) -> Tensor:
         """Voxels with features: seen, in open blocks. Bool by row."""
@@ -118,7 +113,7 @@ class Level:
             k = max(1, most[min(start + batch, len(rows)) - 1])
             kept, slots = self.measurements(rows[part], k)
             tokens = self.network.embed_kept(self.name, kept)
-            fused, w = self.network.fuse(self.name, tokens, slots)
+            fused, w = self.network.fuse(self.name, tokens, slots, frames[rows[part], :k])
             psi[part], weights[part, :k] = fused.float(), w.float()
         return psi, weights
 

@@ -24,16 +24,13 @@ class PolicyPart(Part):
 
 
 POLICIES: Registry[PolicyPart] = Registry("select", "policy")
-_SELECTION = "tf_lab.online.views.selection"
-POLICIES.add(
-    PolicyPart("attention", f"{_SELECTION}:AttentionSelection", AttentionSettings, option="attn")
-)
-POLICIES.add(
-    PolicyPart("random", f"{_SELECTION}:RandomSelection", RandomSettings, "rnd", label="RND")
-)
-POLICIES.add(
-    PolicyPart("diverse", f"{_SELECTION}:DiverseSelection", DiverseSettings, label="diverse (ours)")
-)
+_HERE = "tf_lab.online.views.selection"
+for _part in (
+    PolicyPart("attention", f"{_HERE}:AttentionSelection", AttentionSettings, "attn"),
+    PolicyPart("random", f"{_HERE}:RandomSelection", RandomSettings, "rnd", label="RND"),
+    PolicyPart("diverse", f"{_HERE}:DiverseSelection", DiverseSettings, label="diverse (ours)"),
+):
+    POLICIES.add(_part)
 
 
 def make_policy(settings: Any, seed: int) -> SelectionPolicy:
