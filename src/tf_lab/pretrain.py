@@ -3,14 +3,17 @@
 python -m tf_lab.pretrain model=tiny [encoder=efficientnet_lite0] [output=FILE.safetensors]
 """
 
+from dataclasses import fields
+
 from tf_lab.cli.command import command
+from tf_lab.config.groups import ModelSettings
 
 main = command(
     "pretrain",
     __doc__,
     "tf_lab.commands.pretrain:run",
     unused=(
-        "model",
+        *(f"model.{field.name}" for field in fields(ModelSettings) if field.name != "name"),
         "training",
         "optimizer",
         "trainer.devices",

@@ -214,7 +214,6 @@ def kill_while_jobs_train(arguments: Sequence[str], folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("outputs")
-@pytest.mark.timeout(120)
 def test_jobs_side_by_side_end_with_a_killed_sweep(tmp_path: Path) -> None:
     sweep = ["-m", *TINY, "seed=0,1", "launcher=local", "launcher.jobs=2"]
     kill_while_jobs_train([*sweep, f"output={tmp_path}"], tmp_path / "stopped")
@@ -222,7 +221,6 @@ def test_jobs_side_by_side_end_with_a_killed_sweep(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("outputs")
-@pytest.mark.timeout(120)
 def test_a_killed_sweep_goes_on_to_the_same_results(
     tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:

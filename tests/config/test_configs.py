@@ -76,6 +76,9 @@ CONTRACT = {
     "encoder": ["resnet_tiny", "resnet_small", "resnet18", "efficientnet_lite0"],
     "data": ["rooms", "flats", "scannet", "captures"],
     "trainer": ["auto", "gpu", "ddp"],
+    "optimizer": ["tiny", "small", "paper"],
+    "training": ["tiny", "small", "paper"],
+    "callbacks": ["none", "learning_rate"],
     "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
     "launcher": ["local", "slurm", "ray"],
     "metrics": ["", "normals"],
@@ -235,3 +238,11 @@ def test_how_reconstructions_compute_is_said_once_for_all_commands() -> None:
 def test_what_cannot_be_computed_with_is_told(wrong: str) -> None:
     with pytest.raises(TFLabError, match=wrong.removeprefix("maps_d").split("=")[0]):
         capture_settings(composed("train", f"online.{wrong}"))
+
+
+def test_the_optimizer_is_the_models_or_another() -> None:
+    tiny = compose_config("train", "model=tiny")
+    assert (tiny.optimizer.steps, tiny.training.images) == (2500, 12)
+    mixed = compose_config("train", "model=tiny", "optimizer=paper", "training=small")
+    assert (mixed.model.name, mixed.optimizer.steps, mixed.training.images) == ("tiny", 200000, 16)
+    assert mixed.optimizer == compose_config("train", "model=paper").optimizer

@@ -26,8 +26,9 @@ TEST_TIME = (
     *("data.test_size", "data.test_frames", "online.precision"),
 )
 NEITHER = (
-    *("data.root", "data.workers", "data.val_size", "output", "launcher"),
-    *("logger.kind", "logger.project", "logger.offline"),
+    *("data.root", "data.workers", "data.val_size", "output"),
+    *("launcher.jobs", "launcher.gpus", "launcher.cpus", "callbacks"),
+    *("logger._target_", "logger.project", "logger.offline", "logger.others"),
     *("trainer.workers", "trainer.accelerator", "trainer.compile"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),

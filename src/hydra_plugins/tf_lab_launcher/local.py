@@ -1,4 +1,4 @@
-"""`hydra/launcher=tf_lab`: the jobs of a sweep as processes of this machine.
+"""`hydra/launcher=tf_lab`: the jobs of a sweep as processes of this machine; and its sweeper.
 
 Hydra executes this at every start of every command, before the module is known by its name (so
 dataclasses cannot have annotations from __future__): all that takes time is imported when it runs.
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper, BasicSweeperConf
 from hydra.core.config_store import ConfigStore
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
@@ -30,6 +31,28 @@ class LocalLauncherConf:
 ConfigStore.instance().store(
     group="hydra/launcher", name="tf_lab", node=LocalLauncherConf, provider="tf_lab"
 )
+
+
+@dataclass
+class LocalSweeperConf(BasicSweeperConf):
+    """Settings of Hydra's own sweeper."""
+
+    _target_: str = "hydra_plugins.tf_lab_launcher.local.LocalSweeper"
+
+
+ConfigStore.instance().store(
+    group="hydra/sweeper", name="tf_lab", node=LocalSweeperConf, provider="tf_lab"
+)
+
+
+class LocalSweeper(BasicSweeper):
+    """Hydra's, which composes every job to see that it can be, and the launcher does so again.
+
+    Ours composes all before the first starts, so once will do.
+    """
+
+    def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
+        """Leave it to the launcher."""
 
 
 class LocalLauncher(Launcher):

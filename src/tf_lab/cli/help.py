@@ -41,7 +41,8 @@ def help_text(
         picked = {group: [option] for group, option in groups if not group.startswith("hydra/")}
         if "metrics" in cfg:  # of which there may be several, or none
             picked["metrics"] = list(cfg.metrics)
-        options = [(group, o) for group in picked for o in loader.get_group_options(group)]
+        shown = [group for group in picked if group not in unused]
+        options = [(group, o) for group in shown for o in loader.get_group_options(group)]
     choices = [
         (f"{'*' if o in picked[g] else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
     ]

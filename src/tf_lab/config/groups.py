@@ -154,3 +154,12 @@ class LoggerSettings:
     others: dict[str, Any] = setting(
         {}, "more arguments of the class, as +logger.others.log_model=true"
     )
+
+
+@dataclass(frozen=True)
+class LauncherSettings:
+    """How the jobs of a sweep run; which launcher runs them is Hydra's ``hydra/launcher``."""
+
+    jobs: int = setting(1, "of a sweep at a time, by launcher=local")
+    gpus: int = setting(1, "of each job, by launcher=ray; 0 where there is none, or Ray waits")
+    cpus: int = setting(1, "cores of each job, by launcher=ray")

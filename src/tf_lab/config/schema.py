@@ -15,6 +15,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from tf_lab.config.groups import (
     InferenceSettings,
     InputSettings,
+    LauncherSettings,
     LoggerSettings,
     ModelSettings,
     OnlineSettings,
@@ -63,7 +64,7 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         {},
         "more callbacks, as +callbacks.any._target_=lightning.pytorch.callbacks.DeviceStatsMonitor",
     )
-    launcher: Any = None
+    launcher: LauncherSettings = field(default_factory=LauncherSettings)
     seed: int = setting(0, "of weights, chunks and random choices", shapes="weights")
     init: str | None = setting(
         None,

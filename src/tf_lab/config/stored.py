@@ -77,8 +77,8 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     if content:
         new["content"] = content
     encoder.setdefault("name", "resnet")
-    if "kind" in new.get("logger", {}):  # named by a word of ours; shapes nothing
-        del new["logger"]
+    for group in ("logger", "launcher"):  # shape nothing, and had other settings
+        new.pop(group, None)
     if "ranked" in training:  # the share of steps whose views were kept by attention
         share = training.pop("ranked")
         training["rules"] = {"attention": share, "random": 1 - share}

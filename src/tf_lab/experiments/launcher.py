@@ -60,24 +60,24 @@ class SweepJobs:
     finished: Callable[[Any], Path | None]
 
 
-def check_launcher(words: argparse.Namespace) -> None:
+def check_launcher(given: argparse.Namespace) -> None:
     """That the command line asks for one sweep at most, and for a launcher that works here.
 
     Raises:
         TFLabError: it does not.
     """
-    for word in words.overrides:
-        if word.startswith("sweep=") and "," in word:
-            raise TFLabError(f"{word}: one sweep at a time; sweep=all has every row")
+    for override in given.overrides:
+        if override.startswith("sweep=") and "," in override:
+            raise TFLabError(f"{override}: one sweep at a time; sweep=all has every row")
     for name, package in LAUNCHERS.items():
-        if f"launcher={name}" in words.overrides:
+        if f"launcher={name}" in given.overrides:
             try:
                 importlib.metadata.version(package)
             except importlib.metadata.PackageNotFoundError:
                 message = f"launcher={name} needs a package more: pip install {package}"
                 raise TFLabError(message) from None
-    starts = words.cfg is None and JOB not in words.overrides  # a job may see no srun
-    if starts and "launcher=slurm" in words.overrides and shutil.which("srun") is None:
+    starts = given.cfg is None and JOB not in given.overrides  # a job may see no srun
+    if starts and "launcher=slurm" in given.overrides and shutil.which("srun") is None:
         raise TFLabError(
             "launcher=slurm: there is no srun here; start it on the cluster's login node"
         )
@@ -189,9 +189,9 @@ def single_run(hydra: Any) -> list[str]:
 
 def task_overrides(hydra: Any) -> list[str]:
     """The settings in Hydra's command line, of which nothing is replaced by another's value."""
-    words = OmegaConf.to_container(hydra.overrides.task, resolve=False)
-    assert isinstance(words, list)
-    return [str(word) for word in words]
+    given = OmegaConf.to_container(hydra.overrides.task, resolve=False)
+    assert isinstance(given, list)
+    return [str(override) for override in given]
 
 
 def _reason(status: int) -> str:

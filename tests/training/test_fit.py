@@ -1,0 +1,123 @@
+"""Fitting any module: interrupted, resumed, of other settings, or from a checkpoint of old."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import pytest
+import torch
+from lightning.pytorch.callbacks import Callback
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from tf_lab.config.groups import TrainerSettings
+from tf_lab.errors import TFLabError
+from tf_lab.experiments.reuse import sessions_of
+from tf_lab.training.callbacks import TrainingSessions
+from tf_lab.training.fit import AtomicSaves, FitSettings, fit
+
+CPU = TrainerSettings(accelerator="cpu", workers=0)
+
+
+class Line(L.LightningModule):
+    """Learns a slope; remembers the batches that it was given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.slope = torch.nn.Parameter(torch.zeros(1))
+        self.seen: list[float] = []
+
+    def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:
+        self.seen.append(float(batch))
+        return (self.slope * batch - 2 * batch).square().sum()
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        return torch.optim.SGD(self.parameters(), 0.01)
+
+
+class Numbers(L.LightningDataModule):
+    """The number of every step."""
+
+    def train_dataloader(self) -> DataLoader[float]:
+        assert self.trainer is not None
+        numbers = [float(step) for step in range(self.trainer.global_step, 100)]
+        return DataLoader(numbers, batch_size=None)  # type: ignore[arg-type]
+
+
+class StopAt(Callback):
+    """Ends a training as a signal does."""
+
+    def __init__(self, step: int) -> None:
+        self.step = step
+
+    def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
+        if trainer.global_step == self.step:
+            trainer.should_stop = True
+
+
+def fitted(directory: Path, *callbacks: Callback, **others: Any) -> Line:
+    line = Line()
+    settings = FitSettings(steps=9, save_every=2, identity=others.pop("identity", None))
+    fit(line, Numbers, directory, CPU, settings, loggers=[], callbacks=callbacks, **others)
+    return line
+
+
+def test_an_interrupted_one_goes_on_to_the_same_end(tmp_path: Path) -> None:
+    whole = fitted(tmp_path / "whole")
+    assert whole.seen == [float(step) for step in range(9)]
+    with pytest.raises(KeyboardInterrupt):
+        fitted(tmp_path / "parts", StopAt(5))
+    rest = fitted(tmp_path / "parts")
+    assert rest.seen == [4.0, 5.0, 6.0, 7.0, 8.0]  # from the last save on
+    assert torch.equal(rest.slope, whole.slope)
+    saved = torch.load(tmp_path / "parts" / "last.ckpt", weights_only=True)
+    assert saved["global_step"] == 9
+
+
+def test_one_of_another_identity_starts_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        fitted(tmp_path, StopAt(5), identity="one")
+    assert fitted(tmp_path, identity="other").seen[0] == 0
+    assert "of other settings or data; this training starts anew" in capsys.readouterr().out
+    with pytest.raises(KeyboardInterrupt):
+        fitted(tmp_path / "same", StopAt(5), identity="one")
+    assert fitted(tmp_path / "same", identity="one").seen[0] == 4
+
+
+def test_it_goes_on_from_a_state_elsewhere_only_without_one_of_its_own(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        fitted(tmp_path / "other", StopAt(7))
+    elsewhere: Callable[[], Path] = lambda: tmp_path / "other" / "last.ckpt"  # noqa: E731
+    assert fitted(tmp_path / "new", start=elsewhere).seen == [6.0, 7.0, 8.0]
+    with pytest.raises(KeyboardInterrupt):
+        fitted(tmp_path / "own", StopAt(3))
+    assert fitted(tmp_path / "own", start=elsewhere).seen[0] == 2
+
+
+def test_what_is_wrong_with_the_trainer_is_told_before_data_is_made(tmp_path: Path) -> None:
+    def data() -> Numbers:
+        raise AssertionError("data is made")
+
+    wrong = TrainerSettings(accelerator="cpu", others={"gpus": 3})
+    with pytest.raises(TFLabError, match=r"^trainer: .*gpus.*; see the files in conf/trainer$"):
+        fit(Line(), data, tmp_path, wrong, FitSettings(9, 2), loggers=[])
+
+
+def test_sessions_of_this_version_and_of_old(tmp_path: Path) -> None:
+    """What a training of an older version had done is in the checkpoint, by another name."""
+    with pytest.raises(KeyboardInterrupt):
+        fitted(tmp_path, TrainingSessions(), StopAt(5))
+    last = tmp_path / "last.ckpt"
+    state = torch.load(last, weights_only=True)
+    (session,) = state["callbacks"].pop("TrainingSessions")["sessions"]
+    state["callbacks"]["Sittings"] = {"sittings": [session]}
+    AtomicSaves().save_checkpoint(state, last)
+    sessions = TrainingSessions()
+    fitted(tmp_path, sessions)
+    assert len(sessions.summary()["sessions"]) == 2
+    assert sessions.summary()["sessions"][0] == session
+    assert sessions_of({"sittings": [session]}) == sessions_of({"sessions": [session]})
+    assert sessions_of({}) == []
