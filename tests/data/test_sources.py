@@ -1,0 +1,73 @@
+"""All data sources against the contract, on a few small scenes each."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from helpers import small_shards
+from helpers.layouts import plain, room_frames, scannet
+from tf_lab.data.sources import SOURCES
+from tf_lab.data.sources.contract import CHECKS
+from tf_lab.data.sources.settings import (
+    CapturesData,
+    FlatsData,
+    RoomsData,
+    ScanNetData,
+    ShardsData,
+)
+
+Check = Callable[[Any], None]
+SIZE: dict[str, Any] = {"width": 64, "height": 48, "workers": 1}
+EMBEDDED: dict[str, Any] = {**SIZE, "size": 2, "val_size": 0, "frames": 12, "test_frames": 12}
+# of ScanNet's splits
+SCANS = {
+    "train": "scans/scene0000_00",
+    "val": "scans/scene0011_00",
+    "test": "scans_test/scene0707_00",
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_processes() -> Iterator[None]:
+    """Scenes are made in this process: starting others takes longer than making so small ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("tf_lab.support.tasks", "tf_lab.data.captures"):
+            patch.setattr(f"{module}.run_tasks", small_shards.run_here)
+        yield
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory, box_scene: Path) -> dict[str, Any]:
+    """Small settings of every source, by name; their scenes are made once."""
+    root = tmp_path_factory.mktemp("sources")
+    cache = {"root": str(root / "cache"), "test_size": 1}
+    for name in ("hall", "kitchen", "office"):
+        plain.write(root / "captures" / name, room_frames())
+    for folder in SCANS.values():
+        scannet.write(root / "scannet" / folder, room_frames())
+    for split, folder in SCANS.items():
+        names = root / "scannet" / f"scannetv2_{split}.txt"
+        names.write_text(f"{Path(folder).name}\n")
+    small_shards.write(root / "shards", small_shards.sampler(box_scene))
+    return {
+        "rooms": RoomsData(**EMBEDDED, **cache),
+        "flats": FlatsData(**EMBEDDED, **cache),
+        "shards": ShardsData(**EMBEDDED, **cache, urls=str(root / "shards")),
+        "captures": CapturesData(
+            **SIZE,
+            root=str(root / "captures"),
+            scenes=str(root / "prepared"),
+            test=["office"],
+        ),
+        "scannet": ScanNetData(
+            **SIZE, root=str(root / "scannet"), scenes=str(root / "prepared_scannet")
+        ),
+    }
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("name", [part.name for part in SOURCES])
+def test_contract(settings: dict[str, Any], name: str, check: Check) -> None:
+    check(settings[name])
