@@ -1,22 +1,22 @@
 """What README and docs say is run or checked as it stands there."""
 
 import re
-import runpy
 import shlex
 from pathlib import Path
 
 import pytest
 import trimesh
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
+from helpers.layouts import plain, room_frames
 from helpers.made_up_runs import write_run
 from helpers.tiny_jobs import call
-from tf_lab.cli.command import conf_dir
+from tf_lab.config.compose import compose_hydra
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
-PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
+OWN = {"extending.md"}  # has a test of its own
+PAGES = [p for p in [*REPOSITORY.glob("*.md"), *DOCS.rglob("*.md")] if p.name not in OWN]
 COMMANDS = sorted(
     {
         command.strip()
@@ -42,19 +42,19 @@ def composed(command: str, words: list[str]) -> DictConfig:
     """The config of a command as a page has it, with values in place of its placeholders."""
     for name, value in PLACEHOLDERS.items():
         words = [re.sub(rf"{name}$", value, word) for word in words]
-    with initialize_config_dir(conf_dir(), version_base="1.3"):
-        return compose(command, [word.split(",")[0] if "[" not in word else word for word in words])
+    given = [word.split(",")[0] if "[" not in word else word for word in words]
+    return compose_hydra(command, *given)
 
 
-def test_the_notebooks_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "reconstruct.md").read_text(), re.DOTALL)
-    script = tmp_path / "script.py"
-    script.write_text(code)
+def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "reconstruct.md").read_text(), re.DOTALL)
+    plain.write(tmp_path / "DIR", room_frames())
     monkeypatch.chdir(tmp_path)
-    runpy.run_path(str(script))
-    mesh = trimesh.load("room.ply", process=False)
-    assert isinstance(mesh, trimesh.Trimesh)
-    assert len(mesh.faces) > 10_000
+    exec("".join(blocks), {})
+    for name in ("room.ply", "mesh.ply"):
+        mesh = trimesh.load(name, process=False)
+        assert isinstance(mesh, trimesh.Trimesh)
+        assert len(mesh.faces) > 10_000, name
 
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if not c.startswith("tf_lab.runs")])

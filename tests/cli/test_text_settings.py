@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from tf_lab.cli.text_settings import Texts, quote_words
+from tf_lab.cli.text_settings import Texts, quote_overrides
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import COMMANDS, ReconstructConfig, ReportConfig, TrainConfig
 from tf_lab.config.typed import typed
@@ -26,7 +26,7 @@ ODD = (
 def composed(command: str, *words: str, sweeps: bool = False) -> Any:
     """What a command gets for these words of its command line."""
     texts = Texts.of(COMMANDS[command])
-    return compose_config(command, *quote_words(words, texts, sweeps).values())
+    return compose_config(command, *quote_overrides(words, texts, sweeps).values())
 
 
 def of(config: Any, name: str) -> Any:
@@ -123,12 +123,12 @@ def test_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_empty_text_is_told(word: str) -> None:
     """As an unset variable of the shell makes it."""
     with pytest.raises(TFLabError, match="is empty"):
-        quote_words([word], Texts.of(TrainConfig if "data" in word else ReconstructConfig), False)
+        quote_overrides([word], Texts.of(TrainConfig if "data" in word else ReconstructConfig), False)
 
 
 def test_in_a_sweep_commas_separate(tmp_path: Path) -> None:
     def swept(word: str) -> str:
-        return quote_words([word], Texts.of(TrainConfig), sweeps=True)[word]
+        return quote_overrides([word], Texts.of(TrainConfig), sweeps=True)[word]
 
     assert swept("data.root=2024_01_01, b c") == "data.root='2024_01_01',b c"
     assert swept("data.test=[a,1],[b]") == "data.test=[a,'1'],[b]"

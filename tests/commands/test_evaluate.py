@@ -146,3 +146,17 @@ def test_a_damaged_scene_is_named_and_the_others_are_scored(
     assert str(path.relative_to(published)) in line
     assert "Traceback" not in result.err
     assert list(json.loads(Path("m.json").read_text())["scenes"]) == ["scene0001_00"]
+
+
+def test_further_metrics_are_asked_for_by_name(published: Path) -> None:
+    words = ("predictions=predictions", "groundtruth=groundtruth", "output=m.json")
+    result = call("evaluate", *words, "metrics=normals")
+    heading, _, first, second, *_ = result.out.splitlines()
+    assert heading.split()[-2:] == ["F-score", "Normals"]
+    metrics = json.loads(Path("m.json").read_text())
+    assert set(metrics["mean"]) == METRICS | {"normals"}
+    assert metrics["scenes"]["scene0000_00"]["normals"] > 0.95  # the ground truth itself
+    assert metrics["scenes"]["scene0001_00"]["normals"] == 0  # nothing at all
+    assert (first.split()[-1][:3], second.split()[-1]) == ("0.9", "0.000")
+    wrong = call("evaluate", *words, "metrics=typo")
+    assert wrong.err == "error: metrics=typo: no such choice; there are normals\n"

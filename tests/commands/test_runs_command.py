@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from helpers.tiny_jobs import Result, call, tiny_config
+from helpers.made_up_runs import change_scores
+from helpers.tiny_jobs import TINY, Result, call, tiny_config
 from tf_lab.commands.train import write_config
 from tf_lab.experiments.provenance import commit
 from tf_lab.experiments.reuse import commits_of, print_reuse, removal
@@ -34,7 +35,7 @@ def lines(*arguments: str) -> list[list[str]]:
 def unfinished(output: Path, name: str) -> Path:
     directory = output / "trainings" / name
     directory.mkdir()
-    write_config(directory, tiny_config("seed=1", "fusion=avg"))
+    write_config(tiny_config("seed=1", "fusion=avg"), directory / "config.yaml")
     return directory
 
 
@@ -174,3 +175,19 @@ def test_what_another_code_made_is_reused_and_said(
         f"note: another code made it (commit {commits_of([{'commit': commit()}])}"
     )
     assert note.endswith(f"to make it anew: python -m tf_lab.runs rm {training}")
+
+
+def test_a_run_without_an_fscore_is_finished(mine: Path, main_job: Result) -> None:
+    """An older version's, say: what there is is shown, the rest is a dash."""
+    run = mine / "runs" / main_job.path("run").name
+    change_scores(run, "fscore")
+    (line,) = [line for line in call("runs").out.splitlines() if line.startswith(run.name)]
+    assert line.split("  ")[1] == "finished"
+    assert line.endswith("  -        Ours / 0")
+    shown = call("runs", "show", run.name).out
+    row = next(line for line in shown.splitlines() if line.startswith("Ours ")).split()
+    assert row[-1] == "-" and row[1] != "-"
+    reused = call("train", *TINY)
+    assert (reused.status, reused.err) == (0, "")
+    assert "reusing the identical finished evaluation" in reused.out
+    assert next(x for x in reused.out.splitlines() if x.startswith("Ours ")).split() == row

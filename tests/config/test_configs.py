@@ -69,7 +69,7 @@ def test_ray_is_told_what_a_job_needs() -> None:
 
 # the options that README and sweeps rely on; the first of a group is its default
 CONTRACT = {
-    "fusion": ["transformer", "avg", "pred"],
+    "fusion": ["transformer", "avg", "pred", "gru"],
     "inputs": ["all", "no_depth", "no_ray", "matching"],
     "select": ["attn", "rnd", "diverse"],
     "model": ["tiny", "small", "paper"],
@@ -81,6 +81,7 @@ CONTRACT = {
     "callbacks": ["none", "learning_rate"],
     "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
     "launcher": ["local", "slurm", "ray"],
+    "metrics": ["", "normals"],
     "sweep": ["", "main_ablation", "inputs", "views", "all"],
     "row": [
         *("ours", "avg", "pred", "no_refine", "no_filter", "no_depth", "no_ray", "matching"),

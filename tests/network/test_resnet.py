@@ -14,6 +14,7 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.network.encoders import resnet
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.resnet import IMAGENET_URL, ResNet
 from tf_lab.network.encoders.weights import load_encoder_weights, read_state_dict
@@ -262,14 +263,15 @@ def test_imagenet_from_the_cache(hub: Path) -> None:
     assert_loaded(encoder, state)
 
 
-def test_a_damaged_download_is_not_kept(hub: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def truncated(_url: str, destination: str, *_args: Any, **_kwargs: Any) -> None:
-        Path(destination).write_bytes(b"half of it")
-
-    monkeypatch.setattr(torch.hub, "download_url_to_file", truncated)
-    with pytest.raises(TFLabError, match="download is damaged"):
+def test_a_damaged_download_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its name says how the hash of its content begins."""
+    source = tmp_path / "resnet18-f37072fd.pth"
+    source.write_bytes(b"half of it")
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
+    monkeypatch.setattr(resnet, "IMAGENET_URL", source.as_uri())
+    with pytest.raises(TFLabError, match="invalid hash"):
         load_encoder_weights(ResNet(**RESNET18), "imagenet", NOWHERE)
-    assert not list(hub.parent.iterdir())
+    assert not list((tmp_path / "hub" / "checkpoints").iterdir())
 
 
 def test_a_checkpoint_from_before_encoders_had_names() -> None:

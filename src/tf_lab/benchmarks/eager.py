@@ -53,8 +53,7 @@ class EagerReconstructor(Reconstructor):
         """Add a frame's measurement to voxels (rows [M]), and fuse all that they hold."""
         store = level.store
         # selection reads the logits of the fusion at the frame before, and the new measurement's
-        logits = level.logits(rows, torch.full_like(rows, frame)) if store.heads else None
-        store.add(frame, rows, level.keys(rows), logits, level.centers(frame, rows))
+        level.offer(frame, rows)
         kept, filled = level.measurements(rows, store.views)
         tokens = self.network.embed_kept(level.name, kept)
         psi, _ = self.network.fuse(level.name, tokens, filled, store.frames[rows])

@@ -82,12 +82,12 @@ def command(
         conf = conf_dir()
         try:
             register()
-            words = _words(COMMANDS[name])
-            if words.help:
-                print(help_text(conf, name, about, words.overrides, unused))
+            given = _command_line(COMMANDS[name])
+            if given.help:
+                print(help_text(conf, name, about, given.overrides, unused))
             else:
-                overrides.check_groups(words.overrides, conf)
-                check_launcher(words)
+                overrides.check_groups(given.overrides, conf)
+                check_launcher(given)
                 hydra.main(version_base="1.3", config_path=str(conf), config_name=name)(composed)()
         except (HydraException, OmegaConfBaseException, TFLabError) as error:
             _tell(overrides.explain(error, conf, name))
@@ -102,7 +102,7 @@ def command(
     return main
 
 
-def _words(schema: type) -> argparse.Namespace:
+def _command_line(schema: type) -> argparse.Namespace:
     """The command line, from here on with its texts quoted for Hydra.
 
     Raises:
@@ -114,9 +114,9 @@ def _words(schema: type) -> argparse.Namespace:
         raise TFLabError(f"{message}; settings are NAME=VALUE, --help lists them")
 
     parser.error = error  # type: ignore[method-assign]
-    words = parser.parse_args()
+    given = parser.parse_args()
     texts = text_settings.Texts.of(schema)
-    quoted = text_settings.quote_words(words.overrides, texts, overrides.is_sweep(words))
+    quoted = text_settings.quote_overrides(given.overrides, texts, overrides.is_sweep(given))
     sys.argv = [sys.argv[0], *(quoted.get(word, word) for word in sys.argv[1:])]
     return parser.parse_args()
 

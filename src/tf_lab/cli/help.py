@@ -23,7 +23,7 @@ More in README.md and, on data, in docs/data.md."""
 
 
 def help_text(
-    conf: Path, name: str, about: str, words: Sequence[str] = (), unused: Sequence[str] = ()
+    conf: Path, name: str, about: str, overrides: Sequence[str] = (), unused: Sequence[str] = ()
 ) -> str:
     """What a command does, its choices, and its settings with value and comment.
 
@@ -31,18 +31,20 @@ def help_text(
         conf: the directory of the configs.
         name: of the command and its config.
         about: what it does and how it is called.
-        words: overrides given beside ``--help``: they are in the values shown.
+        overrides: given beside ``--help``: they are in the values shown.
         unused: settings (or groups of them) that the command does not read.
     """
     with initialize_config_dir(str(conf), version_base="1.3"):
-        cfg = compose(name, list(words), return_hydra_config=True)
+        cfg = compose(name, list(overrides), return_hydra_config=True)
         loader = GlobalHydra.instance().config_loader()
         groups = reversed(cfg.hydra.runtime.choices.items())  # in the order of the config
-        chosen = {group: option for group, option in groups if not group.startswith("hydra/")}
-        shown = [group for group in chosen if group not in unused]
+        picked = {group: [option] for group, option in groups if not group.startswith("hydra/")}
+        if "metrics" in cfg:  # of which there may be several, or none
+            picked["metrics"] = list(cfg.metrics)
+        shown = [group for group in picked if group not in unused]
         options = [(group, o) for group in shown for o in loader.get_group_options(group)]
     choices = [
-        (f"{'*' if chosen[g] == o else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
+        (f"{'*' if o in picked[g] else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
     ]
     meanings = {key: field.metadata.get("about", "") for key, field in settings_of(cfg)}
     with open_dict(cfg):

@@ -26,13 +26,13 @@ from tf_lab.experiments.launcher import JOB, task_overrides
 FOUND_OUT = "content"  # of the data, when a run begins
 
 
-def is_sweep(words: argparse.Namespace) -> bool:
+def is_sweep(given: argparse.Namespace) -> bool:
     """Whether a command line asks for several jobs."""
-    asked = words.multirun or any(
+    asked = given.multirun or any(
         word == "hydra.mode=MULTIRUN" or (word.startswith("sweep=") and word != "sweep=null")
-        for word in words.overrides
+        for word in given.overrides
     )
-    return asked and JOB not in words.overrides
+    return asked and JOB not in given.overrides
 
 
 def check(unused: Sequence[str] = ()) -> None:
@@ -54,13 +54,13 @@ def check(unused: Sequence[str] = ()) -> None:
             raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
 
 
-def check_groups(words: Sequence[str], conf: Path) -> None:
+def check_groups(overrides: Sequence[str], conf: Path) -> None:
     """That no group is set to nothing, which Hydra answers with a traceback.
 
     Raises:
         TFLabError: one is.
     """
-    for word in words:
+    for word in overrides:
         group, _, choice = word.lstrip("+").partition("=")
         if choice == "null" and (conf / group).is_dir():
             there = ", ".join(sorted(path.stem for path in (conf / group).glob("*.yaml")))

@@ -1,7 +1,7 @@
 """Settings that are text, whatever they look like: paths and names.
 
 Hydra reads ``input=2024_01_01`` as a number and ``input=true`` as a truth value, and takes ``=``,
-``,`` or ``(1)`` in a path for its own grammar. So the words of these settings are quoted for it.
+``,`` or ``(1)`` in a path for its own grammar. So the values of these settings are quoted for it.
 """
 
 from __future__ import annotations
@@ -60,21 +60,21 @@ def _is_text(field: Field[Any]) -> bool:
     return field.metadata.get("kind", "value") != "value" or str(field.type).startswith("str")
 
 
-def quote_words(words: Sequence[str], texts: Texts, sweeps: bool) -> dict[str, str]:
+def quote_overrides(overrides: Sequence[str], texts: Texts, sweeps: bool) -> dict[str, str]:
     """The settings of a command line as Hydra has to read them, by what was given.
 
     Args:
-        words: ``NAME=VALUE``.
+        overrides: ``NAME=VALUE``.
         texts: which are text.
         sweeps: whether commas separate values of several jobs.
 
     Raises:
         TFLabError: a text is empty.
     """
-    return {word: _quote_word(word, texts, sweeps) for word in words}
+    return {given: _quote_override(given, texts, sweeps) for given in overrides}
 
 
-def _quote_word(word: str, texts: Texts, sweeps: bool) -> str:
+def _quote_override(word: str, texts: Texts, sweeps: bool) -> str:
     """``NAME=VALUE`` so that Hydra takes the value as it stands, if the setting is a text."""
     match = re.fullmatch(r"(?s)(\+{0,2}([\w.]+)=)(.*)", word)
     if match is None or match[2] not in texts.names:

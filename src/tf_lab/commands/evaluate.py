@@ -22,7 +22,8 @@ def run(config: EvaluateConfig) -> None:
     if output is not None:
         check_file(output)
     bar = functools.partial(track, description="evaluating", console=Console(stderr=True))
-    result = evaluate(predictions, groundtruth, seed=config.seed, track=bar)
+    metrics = [*config.metrics.values()]
+    result = evaluate(predictions, groundtruth, config.seed, bar, metrics)
     print(format_table([*result["scenes"].items(), ("mean", result["mean"])], first="Scene"))
     if output is not None:
         write_json(output, result)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from tf_lab.config.schema import ReportConfig
 from tf_lab.reporting.formats import markdown
-from tf_lab.reporting.gallery import draw_pictures
 from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import describe, write_report
 from tf_lab.reporting.results import keep_run
@@ -25,6 +24,10 @@ def run(config: ReportConfig) -> None:
         for run in study.runs.values():
             keep_run(run, output / "runs")
     write_report(study, remarks, output)
-    pictures = draw_pictures(study, output / "pictures") if config.pictures else 0
+    pictures = 0
+    if config.pictures:
+        from tf_lab.reporting.gallery import draw_pictures  # imports trimesh
+
+        pictures = draw_pictures(study, output / "pictures")
     print(describe(study), *remarks, markdown(short_table(study)), summary(study), sep="\n\n")
     print(f"\n{output}: tables.md, orderings.md, charts, and {pictures} pictures of test scenes")

@@ -204,6 +204,7 @@ class EvaluateConfig:
     )
     output: str | None = setting(None, "metrics as JSON", kind="path")
     seed: int = setting(0, "of the points sampled on the predicted meshes")
+    metrics: dict[str, Any] = setting({}, "beside the paper's, by name, with their settings")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from tf_lab.evaluation.metrics import Comparison
 from tf_lab.evaluation.registry import METRICS, with_paper
 from tf_lab.evaluation.scores import value
 
+EXACT = torch.float32 if torch.backends.mps.is_available() else torch.float64  # MPS has no double
+
 
 class SceneMean(Metric):
     """Mean of one metric over scenes; a sum and a count, which processes add up.
@@ -29,7 +31,7 @@ class SceneMean(Metric):
     def __init__(self, settings: Any) -> None:
         super().__init__()
         self.settings = settings
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("total", torch.zeros((), dtype=EXACT), dist_reduce_fx="sum")
         self.add_state("scenes", torch.zeros((), dtype=torch.int64), dist_reduce_fx="sum")
 
     @property

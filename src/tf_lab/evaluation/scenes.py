@@ -13,7 +13,7 @@ from tf_lab.data.scene import Scene
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import PROTOCOL
 from tf_lab.evaluation.scores import Scores
-from tf_lab.meshes.files import read_mesh
+from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.online.captures import Reconstruction, median_views
 from tf_lab.support.files import atomic_path, write_json
 
@@ -38,7 +38,8 @@ def save_scene(
         seconds: that it took.
         run: the run's directory.
     """
-    save_mesh(result, run / "meshes" / f"{scene.name}.ply")
+    with atomic_path(run / "meshes" / f"{scene.name}.ply") as temporary:
+        write_mesh(result.mesh, temporary)
     draw(result, scene, run / "pictures" / f"{scene.name}.png", scores["fscore"])
     details = {
         "seconds": round(seconds, 2),
@@ -47,12 +48,6 @@ def save_scene(
         "median_views": median_views(scene, result.keyframes, scene.groundtruth),
     }
     return SceneResult(scores, details)
-
-
-def save_mesh(result: Reconstruction, path: Path) -> None:
-    """Write a reconstruction's mesh as PLY, whole or not at all; it may be empty."""
-    with atomic_path(path) as temporary:
-        result.mesh.export(temporary, file_type="ply")
 
 
 def draw(result: Reconstruction, scene: Scene, path: Path, fscore: float) -> None:

@@ -1,8 +1,8 @@
 """Meshes as clay, by ray casting (embree): no GPU, no display.
 
 Soft light from the upper left, ambient occlusion, and walls seen from behind left out, so that one
-looks into a room from above. Faces must point into free space, as those of the ground truth and of
-the mesher do.
+looks into a room from above. Faces must point into free space, as those of marching
+cubes do.
 """
 
 from __future__ import annotations

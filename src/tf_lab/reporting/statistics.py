@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 SAMPLES = 10_000
 SMALLEST_P = 1e-4  # a p-value below it would rest on less than one sample
@@ -104,6 +103,8 @@ class _Bootstrap:
 
 def _widening(size: int, alpha: float) -> float:
     """By how much a bootstrap of so many values is too narrow."""
+    from scipy.special import ndtri, stdtrit  # slow to import; errors need not wait for it
+
     if size == 1:
         return 1.0
     quantile = 1 - alpha / 2

@@ -16,23 +16,68 @@ from tf_lab.support.progress import Once, Pace, progress_bar
 SHOWN = 0.5  # seconds between looks at the losses, for which a GPU has to be waited for
 
 
-class TrainingProgress(Callback):
-    """A progress bar over all steps, with the losses and the time left."""
+class _Progress(Callback):
+    """A progress bar of the first process."""
 
     def __init__(self) -> None:
         self.bar: Progress | None = None
-        self.task: TaskID | None = None
+        self.task = TaskID(0)
+
+    def _start(self, trainer: L.Trainer, what: str, total: float, completed: int = 0) -> None:
+        if trainer.is_global_zero:
+            self.bar = progress_bar()
+            self.bar.start()
+            self.task = self.bar.add_task(what, total=total, completed=completed)
+
+    def _stop(self) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+            self.bar = None
+
+    def on_exception(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
+    ) -> None:
+        """Give the terminal back."""
+        self._stop()
+
+
+class EvaluationProgress(_Progress):
+    """Shows how many of its scenes the first process has tested, and the newest F-score."""
+
+    def on_test_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Show the bar."""
+        self._start(trainer, "testing", total=trainer.num_test_batches[0])
+
+    def on_test_batch_end(
+        self,
+        trainer: L.Trainer,
+        pl_module: L.LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
+        """Count a scene."""
+        if self.bar is not None:
+            text = f"testing: F {outputs['fscore']:.3f}"
+            self.bar.update(self.task, advance=1, description=text)
+
+    def on_test_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Leave the finished bar on the screen."""
+        self._stop()
+
+
+class TrainingProgress(_Progress):
+    """Shows the steps that are done, the losses and the time left."""
+
+    def __init__(self) -> None:
+        super().__init__()
         self.pace = Pace()
         self.shown = -SHOWN
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Start at the step the run is at."""
-        if trainer.is_global_zero:
-            self.bar = progress_bar()
-            self.bar.start()
-            self.task = self.bar.add_task(
-                "training", total=trainer.max_steps, completed=trainer.global_step
-            )
+        self._start(trainer, "training", trainer.max_steps, trainer.global_step)
 
     def on_train_batch_end(
         self,
@@ -45,7 +90,7 @@ class TrainingProgress(Callback):
         """Show the newest losses."""
         now, step = time.monotonic(), trainer.global_step
         early = now - self.shown < SHOWN and step < trainer.max_steps
-        if self.bar is None or self.task is None or early:
+        if self.bar is None or early:
             return
         self.shown = now
         values = trainer.callback_metrics
@@ -62,19 +107,8 @@ class TrainingProgress(Callback):
         """Don't take a validation for a slow step."""
         self.pace.restart()
 
-    def _stop(self) -> None:
-        if self.bar is not None:
-            self.bar.stop()
-            self.bar = None
-
     def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Leave the finished bar on the screen."""
-        self._stop()
-
-    def on_exception(
-        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
-    ) -> None:
-        """Give the terminal back."""
         self._stop()
 
 

@@ -11,8 +11,6 @@ from typing import Any
 import lightning as L
 import numpy as np
 import torch.distributed
-from lightning.pytorch.callbacks import Callback
-from rich.progress import Progress, TaskID
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -25,7 +23,7 @@ from tf_lab.evaluation.scores import Scores
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.support.progress import progress_bar
+from tf_lab.training.callbacks import EvaluationProgress
 
 
 def scene_loader(scenes: Sequence[Path], trainer: L.Trainer | None) -> DataLoader[Path | None]:
@@ -92,14 +90,15 @@ class SceneEvaluation(L.LightningModule):
         """Forget an earlier test."""
         self.results = {}
 
-    def test_step(self, directory: Path | None, batch_idx: int) -> None:
+    def test_step(self, directory: Path | None, batch_idx: int) -> Scores | None:
         """Reconstruct and score a scene of the test split; write its mesh and picture."""
         if directory is None:
-            return
+            return None
         assert self.run is not None
         scene = Scene(directory)
         result, scores, seconds = self._score(scene)
         self.results[scene.name] = save_scene(result, scene, scores, seconds, self.run)
+        return scores
 
     def on_test_epoch_end(self) -> None:
         """Put the scenes of all processes together; the first process writes the run's metrics."""
@@ -139,47 +138,6 @@ def in_turn(shares: Sequence[Mapping[str, SceneResult]]) -> dict[str, SceneResul
     """The results of all processes in the order of the scenes, which they had in turn."""
     rounds = zip_longest(*(share.items() for share in shares))
     return dict(pair for pairs in rounds for pair in pairs if pair is not None)
-
-
-class EvaluationProgress(Callback):
-    """A progress bar over the scenes of the first process, with the newest F-score."""
-
-    def __init__(self) -> None:
-        self.bar: Progress | None = None
-        self.task = TaskID(0)
-
-    def on_test_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Show the bar."""
-        if trainer.is_global_zero:
-            self.bar = progress_bar()
-            self.bar.start()
-            self.task = self.bar.add_task("testing", total=trainer.num_test_batches[0])
-
-    def on_test_batch_end(
-        self,
-        trainer: L.Trainer,
-        pl_module: L.LightningModule,
-        outputs: Any,
-        batch: Any,
-        batch_idx: int,
-        dataloader_idx: int = 0,
-    ) -> None:
-        """Count a scene."""
-        if self.bar is not None:
-            assert isinstance(pl_module, SceneEvaluation)
-            newest = [*pl_module.results.values()][-1].scores["fscore"]
-            self.bar.update(self.task, advance=1, description=f"testing: F {newest:.3f}")
-
-    def on_test_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Leave the finished bar on the screen."""
-        if self.bar is not None:
-            self.bar.stop()
-
-    def on_exception(
-        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
-    ) -> None:
-        """Give the terminal back."""
-        self.on_test_end(trainer, pl_module)
 
 
 def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices: Any) -> None:

@@ -6,12 +6,9 @@ not say which layers give the features; the strides are config values (1/16 and 
 
 from __future__ import annotations
 
-import hashlib
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.error import URLError
 
 import torch
 import torch.nn.functional as F
@@ -19,7 +16,6 @@ from torch import Tensor, nn
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import Encoder, group_norm
-from tf_lab.network.encoders.weights import read_state_dict
 
 IMAGENET_URL = "https://download.pytorch.org/models/resnet18-f37072fd.pth"
 
@@ -108,21 +104,13 @@ class ResNet(Encoder):
     @classmethod
     def imagenet_weights(cls) -> dict[str, Tensor]:
         """ResNet-18 weights of torchvision from torch's hub cache, else downloaded and verified."""
-        path = Path(torch.hub.get_dir()) / "checkpoints" / IMAGENET_URL.rsplit("/", 1)[1]
-        if not path.is_file():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            partial = path.with_suffix(f".{os.getpid()}.partial")
-            try:
-                torch.hub.download_url_to_file(IMAGENET_URL, str(partial))
-                digest = hashlib.sha256(partial.read_bytes()).hexdigest()
-                if not digest.startswith(path.stem.rsplit("-", 1)[1]):
-                    raise TFLabError(f"{IMAGENET_URL}: the download is damaged; try again")
-                partial.replace(path)
-            except (URLError, OSError) as error:
-                raise TFLabError(
-                    f"encoder.weights=imagenet: {IMAGENET_URL} cannot be downloaded ({error}); put "
-                    f"the file at {path}, or use encoder.weights=none"
-                ) from error
-            finally:
-                partial.unlink(missing_ok=True)
-        return read_state_dict(path)
+        try:
+            return torch.hub.load_state_dict_from_url(
+                IMAGENET_URL, map_location="cpu", check_hash=True, weights_only=True
+            )
+        except Exception as error:  # of the network, of the disk, or of what a damaged file holds
+            path = Path(torch.hub.get_dir(), "checkpoints", IMAGENET_URL.rsplit("/", 1)[1])
+            raise TFLabError(
+                f"encoder.weights=imagenet: {IMAGENET_URL} cannot be had ({error}); put the file "
+                f"at {path}, or use encoder.weights=none"
+            ) from error
