@@ -1,13 +1,17 @@
 """Sweeps: the table that ends one, how its jobs ended, and launchers that cannot work here."""
 
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hydra._internal.utils import get_args_parser
+from omegaconf import OmegaConf
 
 from tf_lab.errors import TFLabError
 from tf_lab.experiments import launcher
-from tf_lab.experiments.launcher import JOB
+from tf_lab.experiments.launcher import JOB, SweepJobs
+from tf_lab.support.processes import Children
 
 
 def test_a_table_of_all_jobs() -> None:
@@ -58,3 +62,31 @@ def test_slurms_launcher_needs_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyP
     check("launcher=slurm", JOB)  # in a container on a node
     (tmp_path / "srun").touch(mode=0o755)
     check("-m", "launcher=slurm", "views=4,8")
+
+
+def test_an_interrupted_sweep_ends_its_jobs_and_starts_no_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    jobs = SweepJobs("module", object, str, lambda config: None)
+    composed = [
+        OmegaConf.create({"trainer": {"devices": "auto"}, "hydra": {"job": {"num": number}}})
+        for number in range(5)
+    ]
+    terminated, both, started = threading.Event(), threading.Barrier(2), []
+
+    def run_job(jobs: SweepJobs, config: Any, hydra: Any, *_: Any) -> None:
+        started.append(hydra.job.num)
+        if hydra.job.num < 2:
+            both.wait(60)
+        if hydra.job.num == 0:
+            raise KeyboardInterrupt
+        assert terminated.wait(60)
+
+    monkeypatch.setattr(launcher, "typed", lambda schema, cfg: cfg)
+    monkeypatch.setattr(launcher, "run_job", run_job)
+    monkeypatch.setattr(Children, "terminate", lambda self: terminated.set())
+    with pytest.raises(KeyboardInterrupt):
+        launcher.run_jobs(jobs, composed, 2)
+    assert terminated.is_set()
+    assert sorted(started)[:2] == [0, 1]
+    assert len(started) < 5

@@ -13,7 +13,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig
+from omegaconf import II, DictConfig
 
 
 @dataclass
@@ -25,7 +25,7 @@ class LocalLauncherConf:
     """
 
     _target_: str = "hydra_plugins.tf_lab_launcher.local.LocalLauncher"
-    jobs: int = 1
+    jobs: int = II("launcher.jobs")
 
 
 ConfigStore.instance().store(
