@@ -123,7 +123,9 @@ def test_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_empty_text_is_told(word: str) -> None:
     """As an unset variable of the shell makes it."""
     with pytest.raises(TFLabError, match="is empty"):
-        quote_overrides([word], Texts.of(TrainConfig if "data" in word else ReconstructConfig), False)
+        quote_overrides(
+            [word], Texts.of(TrainConfig if "data" in word else ReconstructConfig), False
+        )
 
 
 def test_in_a_sweep_commas_separate(tmp_path: Path) -> None:

@@ -132,7 +132,15 @@ def test_in_order_they_are_the_folders_batches(write: Write, box_scene: Path) ->
 
 def first_loss(chunks: ChunkSource, workers: int, network: Network, folder: Path) -> float:
     """Of the first step of a training."""
-    optimizer = OptimizerSettings(1e-3, (0.9, 0.999), 1e-8, 0.0, "cosine", 1, 10, 1.0, 1.0)
+    optimizer = OptimizerSettings(
+        lr=1e-3,
+        weight_decay=0,
+        schedule="cosine",
+        warmup=1,
+        steps=10,
+        clip=1,
+        encoder_factor=1,
+    )
     module = Training(network.train(), optimizer, 0.5, ReconstructionSettings())
     trainer = L.Trainer(
         **{"max_steps": 1, "accelerator": "cpu", "devices": 1, "limit_val_batches": 0},
