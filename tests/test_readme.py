@@ -32,7 +32,7 @@ SETTINGS = sorted(
         for page, command in TAKEN_BY.items()
         for row in re.findall(r"^\|.*", (DOCS / page).read_text(), re.MULTILINE)
         for words in re.findall(r"`([^`]+)`", row)
-        if all(re.fullmatch(r"[a-z_.]+=\S+", word) for word in words.split())
+        if all(re.fullmatch(r"\+?[a-z_.]+=\S+", word) for word in words.split())
     }
 )
 PLACEHOLDERS = {"METRES_PER_UNIT": "0.5", "=NAME": "=captures", "=N": "=7", "=X": "=1"}
