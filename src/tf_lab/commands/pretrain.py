@@ -50,8 +50,7 @@ def run(config: PretrainConfig) -> None:
     output, origin = Path(config.output), provenance()
     check_file(output)
     L.seed_everything(config.seed, verbose=False)
-    source = open_source(config.data)
-    made = source.scenes("train", "val")
+    made = open_source(config.data).scenes("train", "val")
     splits = {split: [*scenes.values()] for split, scenes in made.items()}
     encoder, trunk_factor = _encoder(config)
     validated: dict[str, Sequence[Path | Capture]] = {"val": splits["val"]}
@@ -76,7 +75,7 @@ def run(config: PretrainConfig) -> None:
             data,
             directory,
             replace(config.trainer, devices=1, strategy="auto"),
-            FitSettings(config.steps, every, every, CLIP, _identity(config, source.content())),
+            FitSettings(config.steps, every, every, CLIP, _identity(config, splits["train"])),
             loggers=[CSVLogger(directory, name="logs")],
         )
         scores = {
@@ -91,10 +90,13 @@ def run(config: PretrainConfig) -> None:
     print(f"{output}: {scores}")
 
 
-def _identity(config: PretrainConfig, content: Content) -> str:
-    """Of all that shapes the encoder: settings, data, and the weights that it starts from."""
-    content = with_encoder_digest(config.encoder, content)
-    return key_of(shaping(config, "weights"), shaping(content, "weights"))
+def _identity(config: PretrainConfig, scenes: Sequence[Path]) -> str:
+    """Of all that shapes the encoder: settings, the weights that it starts from, and scenes.
+
+    A scene's directory and the two above it say what it was made of, and how.
+    """
+    start = with_encoder_digest(config.encoder, Content()).encoder
+    return key_of(shaping(config, "weights"), start, [path.parts[-3:] for path in scenes])
 
 
 def _portable(config: PretrainConfig) -> dict[str, Any]:
