@@ -11,7 +11,6 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from helpers.tiny_jobs import TINY, Result, call, start, told
-from tf_lab.errors import TFLabError
 
 Train = Callable[..., Result]
 
@@ -271,12 +270,12 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
         ("encoder.weights=none.pt", ("none.pt: no such weights file",)),
         ("encoder.weights=rooms", ("encoder.weights=rooms", "encoder.weights=none")),
         ("model.heads=3", ("model.width=8", "multiple of heads=3")),
-        ("+model.depths=3", ("model", "depths", "conf/model")),
-        ("+optimizer.momentum=3", ("optimizer", "momentum", "conf/model")),
-        ("+trainer.gpus=3", ("trainer", "gpus", "conf/trainer")),
+        ("+model.depths=3", ("model.depths: no such setting", "--help")),
+        ("+optimizer.momentum=3", ("optimizer.momentum: no such setting",)),
+        ("+trainer.others.gpus=3", ("trainer", "gpus", "conf/trainer")),
         ("trainer.accelerator=abacus", ("trainer", "abacus", "conf/trainer")),
         ("training.images=99", ("no chunk with 99 images", "use fewer")),
-        ("data.name=scannet", ("data.name=scannet",)),
+        ("data.name=scannet", ("data.name=scannet: choose it by data=scannet",)),
     ],
 )
 def test_a_bad_setting_of_train(
@@ -313,11 +312,11 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("views=4,8", ("views=4,8: add -m", "views=[4,8]")),
         ("sweep=inputs,views", ("sweep=inputs,views: one sweep at a time; sweep=all",)),
         ("launcher=local", ("launcher=local needs a sweep: add -m or sweep=NAME",)),
-        ("views=", ("views=: must be a number",)),
-        ("seed=many", ("seed=many: must be a number",)),
-        ("data.size=[3]", ("data.size=[3]: must be a number",)),
+        ("views=", ("views=: must be a whole number",)),
+        ("seed=many", ("seed=many: must be a whole number",)),
+        ("data.size=[3]", ("data.size=[3]: must be a whole number",)),
         ("optimizer.clip=false", ("optimizer.clip=false: must be a number",)),
-        ("refine=no", ("refine=no: must be true or false",)),
+        ("refine=maybe", ("refine=maybe: must be true or false",)),
         ("data=captures", ("data.root is missing", "data.root=")),
     ],
 )
@@ -336,7 +335,7 @@ def test_debugging_raises_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TF_LAB_DEBUG", "1")
     with pytest.raises(HydraException, match="unknown"):
         call("train", "unknown=1")
-    with pytest.raises(TFLabError, match="views=x: must be a number"):
+    with pytest.raises(HydraException, match="views=x"):
         call("train", "views=x")
 
 

@@ -91,7 +91,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for name in (
         *("reconstruct._open", "evaluate.evaluate", "report.open_study", "pretrain.open_source"),
-        *("benchmark.run_all", "prepare._prepare_embedded"),
+        *("benchmark.run_all", "prepare.open_source"),
     ):
         monkeypatch.setattr(f"tf_lab.commands.{name}", fail)
 
@@ -160,7 +160,7 @@ def test_going_on_is_said_by_commands_that_do(
     def interrupt(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tf_lab.cli.text_settings.settle", interrupt)
+    monkeypatch.setattr("tf_lab.cli.command.typed", interrupt)
     result = call(command, *words)
     assert result.status == 130
     more = "; the same command goes on from here" if goes_on else ""

@@ -121,7 +121,7 @@ def test_encoder_weights_are_known_by_their_content(checkpoint: Path, tmp_path: 
         (["init=damaged.ckpt"], "damaged.ckpt: damaged"),
         (["init=STATE"], "is at step 5 of optimizer.steps=5; give more"),
         (["init=STATE", "optimizer.steps=9", "refine=false"], "of another network: refine"),
-        (["init=STATE", "optimizer.steps=9", "optimizer.lr=1"], "lr is 0.002 there and 1 here"),
+        (["init=STATE", "optimizer.steps=9", "optimizer.lr=1"], "lr is 0.002 there and 1.0 here"),
     ],
 )
 def test_what_does_not_fit_is_named(

@@ -9,7 +9,6 @@ import pytest
 
 from helpers import small_shards
 from helpers.tiny_jobs import Result, tiny_config
-from tf_lab.config.build import chunk_settings
 from tf_lab.data.chunk_sampler import ChunkSampler
 
 
@@ -17,8 +16,8 @@ from tf_lab.data.chunk_sampler import ChunkSampler
 def shards(rooms: Callable[[str], list[Path]], tmp_path: Path) -> Path:
     """Six chunks of the tiny rooms, in two shards."""
     config = tiny_config()
-    model = config["model"]
-    drawn = ChunkSampler(rooms("train"), chunk_settings(config), model["near"], model["far"])
+    near, far = config.model.near, config.model.far
+    drawn = ChunkSampler(rooms("train"), config.training.chunk, near, far)
     small_shards.write(tmp_path / "shards", drawn, count=6, per_shard=3)
     return tmp_path / "shards"
 

@@ -23,7 +23,7 @@ from tf_lab.experiments.identity import (
 # Every other setting of train.yaml shapes the weights.
 TEST_TIME = (
     *("views", "select.policy", "resolution", "threshold", "keyframe_distance"),
-    *("data.test_size", "data.test_frames", "online.precision"),
+    *("data.test_size", "data.test_frames", "online.precision", "metrics"),
 )
 NEITHER = (
     *("data.root", "data.workers", "data.val_size", "output"),
@@ -121,7 +121,7 @@ def test_what_shapes_the_test_makes_a_new_evaluation_of_the_same_training(name: 
     config = changed(name)
     assert training_directory(config) == training_directory(DEFAULT)
     assert keys(config)[1] != keys(DEFAULT)[1]
-    if name != "select.policy":  # there is no policy of the changed name
+    if name not in ("select.policy", "metrics"):  # there is none of the changed name
         assert run_directory(config) != run_directory(DEFAULT)
 
 

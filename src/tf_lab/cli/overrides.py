@@ -20,6 +20,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
 from tf_lab.cli.help import is_within
+from tf_lab.config.schema import PARTS
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.launcher import JOB, task_overrides
 
@@ -62,8 +63,10 @@ def check_groups(overrides: Sequence[str], conf: Path) -> None:
     """
     for word in overrides:
         group, _, choice = word.lstrip("+").partition("=")
-        if choice == "null" and (conf / group).is_dir():
-            there = ", ".join(sorted(path.stem for path in (conf / group).glob("*.yaml")))
+        options = {path.stem for path in (conf / group).glob("*.yaml")}
+        options |= {part.choice for parts in PARTS if parts.group == group for part in parts}
+        if choice == "null" and options:
+            there = ", ".join(sorted(options))
             raise TFLabError(f"{word}: choose one of {there}, or leave it out")
 
 

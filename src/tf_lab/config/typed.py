@@ -28,17 +28,36 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
     node = node_of(schema)
     for parts in PARTS:
         chosen = OmegaConf.select(given, parts.group, default=None)
-        if chosen is not None:
-            node[parts.group] = node_of(parts[chosen[parts.key]].settings)
+        if chosen is None:
+            continue
+        part, kind = parts[chosen[parts.key]], OmegaConf.get_type(chosen)
+        if is_dataclass(kind) and kind is not part.settings:
+            there = f"{parts.group}.{parts.key}={part.name}"
+            raise TFLabError(f"{there}: choose it by {parts.group}={part.choice}")
+        node[parts.group] = node_of(part.settings)
     for name in OmegaConf.select(given, "metrics", default=None) or {}:
         node["metrics"][name] = node_of(METRICS[name].settings)
     merged = OmegaConf.merge(node, given)
     assert isinstance(merged, DictConfig)
+    _check_names(merged)
+    for name in sorted(OmegaConf.missing_keys(merged)):
+        OmegaConf.select(merged, name, throw_on_missing=True)  # raises
     _expand_paths(merged)
-    OmegaConf.to_container(merged, resolve=True, throw_on_missing=True)  # says what is missing
     config = OmegaConf.to_object(merged)
     assert isinstance(config, schema)
     return config
+
+
+def _check_names(cfg: DictConfig, prefix: str = "") -> None:
+    """That a config has no settings but those of its schema."""
+    kind = OmegaConf.get_type(cfg)
+    known = {f.name for f in fields(kind)} if is_dataclass(kind) else {*map(str, cfg)}
+    for key in map(str, cfg):
+        inner = cfg._get_node(key)
+        if key not in known:
+            raise TFLabError(f"{prefix}{key}: no such setting; --help lists all")
+        if isinstance(inner, DictConfig) and not inner._is_missing() and not inner._is_none():
+            _check_names(inner, f"{prefix}{key}.")
 
 
 def settings_of(cfg: DictConfig, prefix: str = "") -> Iterator[tuple[str, Field[Any]]]:
