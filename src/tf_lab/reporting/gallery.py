@@ -51,8 +51,10 @@ def mesh_path(run: Run, scene: str) -> Path:
 def draw_pictures(study: Study, folder: Path) -> int:
     """Draw the test scenes of which there are meshes; of the others what is there stays."""
     shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
+    if not shown:
+        return 0
     with progress_bar() as bar:
-        for scene, runs in bar.track(shown.items(), description="drawing"):
+        for scene, runs in bar.track(shown.items(), len(shown), description="drawing"):
             truth = groundtruth_mesh(next(iter(runs.values())), scene)
             draw_scene(runs, scene, truth, folder / f"{scene}.png")
     return len(shown)
