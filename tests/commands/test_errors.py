@@ -303,7 +303,7 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("fusion=foo", ("fusion=foo: no such choice", "transformer", "avg", "pred")),
         ("model=huge", ("model=huge: no such choice", "tiny", "small", "paper")),
         ("model=", ("model=: no such choice", "tiny")),
-        ("fusion=null", ("fusion=null: choose one of avg, pred, transformer", "leave it out")),
+        ("fusion=null", ("fusion=null: choose one of avg, gru, pred, transformer", "leave it out")),
         ("views", ("views: not of the form NAME=VALUE",)),
         ("seed=a=b", ("seed=a=b: cannot be read", "write 'seed=\"a=b\"'")),
         ("model.name=", ("model.name=: is empty", "leave it out")),

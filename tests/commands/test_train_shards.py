@@ -27,9 +27,9 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
     assert first.status == 0, first.err
     assert "Ours" in first.out
     run = json.loads((first.path("run") / "run.json").read_text())
-    stored = run["training"]["config"]["data"]
-    assert len(stored["identity"]) == 16
-    assert "urls" not in stored
+    stored = run["training"]["config"]
+    assert len(stored["content"]["shards"]) == 16
+    assert "urls" not in stored["data"]
     # elsewhere, and named in another way
     moved = shutil.move(shards, shards.parent / "moved")
     again = train("data=shards", f'data.urls="{moved}/chunks-{{000000..000001}}.tar"')

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from tf_lab.data.captures import ImportSettings
 from tf_lab.data.readers import open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame
+from tf_lab.data.sources.settings import CapturesData
 from tf_lab.errors import TFLabError
 
 DOWN = (0.0, 0.0, -1.0)
@@ -235,9 +237,9 @@ def test_depth_without_a_unit(tmp_path: Path) -> None:
 def test_the_settings_are_part_of_a_scene() -> None:
     keys = {ImportSettings(read=ReadSettings(axes=axes)).key for axes in (None, "opengl", "ros")}
     assert len(keys) == 3
-    assert ReadSettings.of({"shift": 2, "principal": [1, 2], "other": 3}) == ReadSettings(
-        shift=2, principal=(1, 2)
-    )
+    settings: Any = [1, 2]  # as a config has it
+    captures = CapturesData(shift=2, principal=settings)
+    assert captures.read == ReadSettings(shift=2, principal=(1, 2))
 
 
 def test_colour_images_are_not_touched(tmp_path: Path) -> None:

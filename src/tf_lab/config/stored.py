@@ -12,7 +12,7 @@ import yaml
 from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.config.schema import PARTS, TrainConfig
-from tf_lab.config.typed import typed
+from tf_lab.config.typed import literal, typed
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path
 
@@ -59,7 +59,7 @@ def read_config(path: Path) -> TrainConfig:
     if not isinstance(values, dict):
         raise TFLabError(f"{path}: damaged (not a mapping)")
     try:
-        return typed(TrainConfig, _with_places(upgraded(values)))
+        return typed(TrainConfig, _as_it_stands(_with_places(upgraded(values))))
     except (OmegaConfBaseException, KeyError, TypeError, AttributeError) as error:
         reason = str(error).splitlines()[0]
         raise TFLabError(f"{path}: has other settings than this version ({reason})") from error
@@ -94,3 +94,12 @@ def _with_places(values: dict[str, Any]) -> dict[str, Any]:
             if field.metadata.get("kind") == "path" and not field.metadata["several"]:
                 group.setdefault(field.name, "")
     return values
+
+
+def _as_it_stands(value: Any) -> Any:
+    """Values in which OmegaConf replaces nothing: what is stored is resolved."""
+    if isinstance(value, dict):
+        return {key: _as_it_stands(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_as_it_stands(item) for item in value]
+    return literal(value) if isinstance(value, str) else value

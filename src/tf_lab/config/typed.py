@@ -40,8 +40,6 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
     merged = OmegaConf.merge(node, given)
     assert isinstance(merged, DictConfig)
     _check_names(merged)
-    for name in sorted(OmegaConf.missing_keys(merged)):
-        OmegaConf.select(merged, name, throw_on_missing=True)  # raises
     _expand_paths(merged)
     config = OmegaConf.to_object(merged)
     assert isinstance(config, schema)
@@ -49,14 +47,16 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
 
 
 def _check_names(cfg: DictConfig, prefix: str = "") -> None:
-    """That a config has no settings but those of its schema."""
+    """That a config has the settings of its schema and no others, and none is missing."""
     kind = OmegaConf.get_type(cfg)
     known = {f.name for f in fields(kind)} if is_dataclass(kind) else {*map(str, cfg)}
     for key in map(str, cfg):
         inner = cfg._get_node(key)
         if key not in known:
             raise TFLabError(f"{prefix}{key}: no such setting; --help lists all")
-        if isinstance(inner, DictConfig) and not inner._is_missing() and not inner._is_none():
+        if OmegaConf.is_missing(cfg, key):
+            OmegaConf.select(cfg, key, throw_on_missing=True)  # raises
+        if isinstance(inner, DictConfig) and not inner._is_none():
             _check_names(inner, f"{prefix}{key}.")
 
 
