@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from tf_lab.benchmarks.plane_sweep import plane_sweep
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ReconstructConfig
 from tf_lab.data.capture import Capture
@@ -30,16 +31,19 @@ from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
-from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file
 from tf_lab.support.progress import progress_bar
+
+NETWORK, STEREO = METHODS = ("network", "plane_sweep")
 
 
 def run(config: ReconstructConfig) -> None:
     """Reconstruct, write mesh and picture, score where the depth is known."""
     checkpoint = Path(config.checkpoint) if config.checkpoint else shipped_checkpoint()
     network, info = load_network(checkpoint)
+    if config.method not in METHODS:
+        raise TFLabError(f"method={config.method}: choose {' or '.join(METHODS)}")
     network = ready(network, config.online, device_of(config.device))
     output = _place(config)
     if output.suffix != ".ply":
@@ -49,7 +53,7 @@ def run(config: ReconstructConfig) -> None:
     if config.input is None and config.output is None:
         output = output.with_stem(capture.name)
     start = time.time()
-    result = _reconstruct(network, capture, capture_settings(config))
+    result = _reconstruct(network, capture, config)
     seconds = time.time() - start
     mesh = result.mesh
     if config.source_frame:
@@ -95,9 +99,8 @@ def _open(config: ReconstructConfig, info: dict[str, Any]) -> Capture:
     return Resized(capture, (data["width"], data["height"]))
 
 
-def _reconstruct(
-    network: Network, capture: Capture, settings: ReconstructionSettings
-) -> Reconstruction:
+def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) -> Reconstruction:
+    settings = capture_settings(config)
     with progress_bar() as bar:
         task = bar.add_task("adding keyframes", total=None)
 
@@ -105,6 +108,9 @@ def _reconstruct(
             text = "fusing and meshing" if done == total else "adding keyframes"
             bar.update(task, completed=done, total=total, description=text)
 
+        if config.method == STEREO:
+            distance, device = settings.keyframe_distance, device_of(config.device)
+            return plane_sweep(capture, distance, progress=show, device=device)
         return reconstruct(network, capture, settings, show)
 
 

@@ -172,6 +172,9 @@ class ReconstructConfig(InferenceSettings, ReadSettings):
     output: str | None = setting(
         None, "the mesh; null: outputs/reconstructions/<path of the input>.ply", kind="path"
     )
+    method: str = setting(
+        "network", "or plane_sweep: classical stereo at the same image size, to compare with"
+    )
     check: bool = setting(
         True, "warn of cameras that are clearly wrong (python -m tf_lab.check says more)"
     )

@@ -1,0 +1,239 @@
+"""A classical baseline: plane-sweep stereo (Collins 1996), checked between views, fused to a TSDF.
+
+Nothing is learned. Every keyframe's depth is swept over planes of equal steps in inverse depth,
+scored by zero-mean normalised cross-correlation (ZNCC) with its best source views; depths that
+other views do not confirm go; the rest is fused as depth of a sensor is.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+import trimesh
+from torch import Tensor
+
+from tf_lab.data.capture import Capture
+from tf_lab.data.keyframes import select_keyframes
+from tf_lab.data.tsdf import bounds_of, extract_mesh, fuse_in_slabs, join
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import (
+    VoxelGrid,
+    invert_pose,
+    pixel_directions,
+    project,
+    sample_maps,
+    transform,
+)
+from tf_lab.online.captures import Reconstruction
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PlaneSweepSettings:
+    """How depth is found and fused.
+
+    Attributes:
+        planes: between ``near`` and ``far`` (metres), of equal steps in inverse depth.
+        sources: views that a keyframe is compared with, and ``best`` of them that count at a pixel:
+            in the others it may be hidden.
+        baseline: between two cameras, metres: the least, the most, and what is best.
+        window: edge of the correlation's window, pixels.
+        least: ZNCC that a depth needs.
+        agree: other views that have to confirm a depth, each within ``tolerance`` of it (a share).
+        voxel: edge, and ``truncation``, of the TSDF, metres.
+    """
+
+    planes: int = 96
+    near: float = 0.4
+    far: float = 5.0
+    sources: int = 6
+    best: int = 3
+    baseline: tuple[float, float, float] = (0.05, 0.8, 0.25)
+    window: int = 7
+    least: float = 0.6
+    agree: int = 2
+    tolerance: float = 0.03
+    voxel: float = 0.04
+    truncation: float = 0.12
+
+
+def plane_sweep(
+    capture: Capture,
+    keyframe_distance: float = 0.1,
+    settings: PlaneSweepSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    device: torch.device | str = "cpu",
+) -> Reconstruction:
+    """Reconstruct a capture from its keyframes by stereo; frames that can't be read are skipped.
+
+    Args:
+        capture: posed images.
+        keyframe_distance: see `tf_lab.data.keyframes`; 0 takes every frame.
+        settings: see `PlaneSweepSettings`.
+        progress: called with (frames done, frames in all).
+        device: where to compute.
+
+    Raises:
+        TFLabError: no frame can be read.
+    """
+    s = settings or PlaneSweepSettings()
+    views, skipped = _read(
+        capture, select_keyframes(capture.world_T_cam, keyframe_distance), device
+    )
+    count = len(views.frames)
+    depths = torch.zeros(count, *views.grey.shape[2:], device=device)
+    for i in range(count):
+        sources = choose_sources(views.world_T_cam, i, s)
+        if sources:
+            depths[i] = sweep(views, i, sources, s)
+        if progress is not None:
+            progress(i + 1, count)
+    kept = [checked(depths, views, i, s).cpu() for i in range(count)]
+    return Reconstruction(_fused(kept, views, s), views.frames, skipped)
+
+
+@dataclass(frozen=True)
+class Views:
+    """Keyframes: numbers, grey images [N, 1, H, W] in 0..1, K [N, 3, 3], world_T_cam [N, 4, 4]."""
+
+    frames: list[int]
+    grey: Tensor
+    K: Tensor
+    world_T_cam: Tensor
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height), pixels."""
+        return self.grey.shape[3], self.grey.shape[2]
+
+
+def _read(
+    capture: Capture, keyframes: Sequence[int], device: torch.device | str
+) -> tuple[Views, list[str]]:
+    images, used, skipped = [], [], []
+    for i in keyframes:
+        try:
+            images.append(capture.image(i).astype(np.float32).mean(-1) / 255)
+            used.append(i)
+        except TFLabError as error:
+            log.warning("frame %s skipped: %s", capture.frames[i], error)
+            skipped.append(f"{capture.frames[i]}: {error}")
+    if not used:
+        first = skipped[0] if skipped else "there is none"
+        raise TFLabError(f"{capture.name}: no keyframe can be read; the first: {first}")
+    cameras = (torch.from_numpy(part[used]).float() for part in (capture.K, capture.world_T_cam))
+    K, world_T_cam = (part.to(device) for part in cameras)
+    grey = torch.from_numpy(np.stack(images))[:, None].to(device)
+    return Views(used, grey, K, world_T_cam), skipped
+
+
+def choose_sources(world_T_cam: Tensor, i: int, settings: PlaneSweepSettings) -> list[int]:
+    """The views to compare view i with: a fair baseline, and looking the same way.
+
+    Of poses [N, 4, 4]; those come first whose baseline is nearest to the best one (as a factor)
+    and whose optical axis is within 45 degrees.
+    """
+    low, high, best = settings.baseline
+    baseline = (world_T_cam[:, :3, 3] - world_T_cam[i, :3, 3]).norm(dim=-1)
+    same_way = world_T_cam[:, :3, 2] @ world_T_cam[i, :3, 2]
+    fair = (baseline >= low) & (baseline <= high) & (same_way > 0.7)
+    cost = (baseline.clamp(min=1e-6) / best).log().abs() + 2 * (1 - same_way)
+    order = cost.masked_fill(~fair, torch.inf).argsort()
+    return order[: min(settings.sources, int(fair.sum()))].tolist()
+
+
+def sweep(views: Views, i: int, sources: Sequence[int], settings: PlaneSweepSettings) -> Tensor:
+    """Depth [H, W] (metres) of view i; 0 where no plane is good enough."""
+    s, size = settings, views.size
+    inverse = torch.linspace(1 / s.far, 1 / s.near, s.planes, device=views.grey.device)
+    rays = pixel_directions(views.K[i], size).flatten(0, 1)  # [H * W, 3]
+    points = transform(views.world_T_cam[i], (rays / inverse[:, None, None]).flatten(0, 1))
+    here = Patches.of(views.grey[i], s.window)
+    scores = []
+    for j in sources:
+        uv, depth = project(points, views.K[j], invert_pose(views.world_T_cam[j]))
+        warped = sample_maps(views.grey[j : j + 1], uv[None], size)[0, :, 0]
+        u, v = uv.unbind(-1)
+        inside = (depth > 0) & (u >= 0) & (u <= size[0] - 1) & (v >= 0) & (v <= size[1] - 1)
+        there = Patches.of(warped.view(s.planes, 1, size[1], size[0]), s.window)
+        score = here.correlation(there).masked_fill(~inside.view(s.planes, size[1], size[0]), -1)
+        scores.append(score)
+    best = torch.stack(scores).topk(min(s.best, len(scores)), dim=0).values.mean(0)
+    top, plane = best.max(0)
+    depth = 1 / _between(best, plane, inverse)
+    border = (plane == 0) | (plane == s.planes - 1)
+    return torch.where((top >= s.least) & ~border, depth, torch.zeros_like(depth))
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Images [..., 1, H, W] with the means and deviations of their windows."""
+
+    image: Tensor
+    mean: Tensor
+    deviation: Tensor
+    window: int
+
+    @classmethod
+    def of(cls, image: Tensor, window: int) -> Patches:
+        """Of an image."""
+        image = image if image.ndim == 4 else image[None]
+        mean = _box(image, window)
+        variance = (_box(image * image, window) - mean * mean).clamp(min=0)
+        return cls(image, mean, (variance + 1e-6).sqrt(), window)
+
+    def correlation(self, other: Patches) -> Tensor:
+        """ZNCC [N, H, W] with the windows at the same places of others."""
+        covariance = _box(self.image * other.image, self.window) - self.mean * other.mean
+        return (covariance / (self.deviation * other.deviation))[:, 0]
+
+
+def _box(image: Tensor, window: int) -> Tensor:
+    return F.avg_pool2d(image, window, 1, window // 2, count_include_pad=False)
+
+
+def _between(scores: Tensor, plane: Tensor, inverse: Tensor) -> Tensor:
+    """Inverse depth [H, W] at the peak of a parabola through the best plane and its neighbours."""
+    around = [(plane + step).clamp(0, len(inverse) - 1)[None] for step in (-1, 0, 1)]
+    left, middle, right = (scores.gather(0, index)[0] for index in around)
+    curve = (left - 2 * middle + right).clamp(max=-1e-6)
+    offset = (0.5 * (left - right) / curve).clamp(-0.5, 0.5)
+    return inverse[plane] + offset * (inverse[1] - inverse[0])
+
+
+def checked(depths: Tensor, views: Views, i: int, settings: PlaneSweepSettings) -> Tensor:
+    """Depth [H, W] of view i of all depths [N, H, W] where enough other views confirm it."""
+    s, size, depth = settings, views.size, depths[i]
+    rays = pixel_directions(views.K[i], size) * depth[..., None]
+    points = transform(views.world_T_cam[i], rays.flatten(0, 1))
+    votes = torch.zeros(depth.numel(), device=depth.device)
+    for j in choose_sources(views.world_T_cam, i, s):
+        uv, z = project(points, views.K[j], invert_pose(views.world_T_cam[j]))
+        u, v = uv.round().long().unbind(-1)
+        inside = (z > 0) & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
+        there = depths[j][v.clamp(0, size[1] - 1), u.clamp(0, size[0] - 1)]
+        votes += inside & (there > 0) & ((there - z).abs() < s.tolerance * z)
+    return torch.where((votes >= s.agree).view_as(depth), depth, torch.zeros_like(depth))
+
+
+def _fused(depths: Sequence[Tensor], views: Views, s: PlaneSweepSettings) -> trimesh.Trimesh:
+    """The mesh of depth maps; empty if there is no depth at all."""
+    if not any(bool((depth > 0).any()) for depth in depths):
+        return trimesh.Trimesh()
+    K, poses = views.K.cpu(), views.world_T_cam.cpu()
+    lower, upper = bounds_of(depths, K, poses, s.truncation + s.voxel, stride=1)
+    grid = VoxelGrid.covering(lower.tolist(), upper.tolist(), s.voxel)
+    return join(list(_meshes(depths, K, poses, grid, s)))
+
+
+def _meshes(
+    depths: Sequence[Tensor], K: Tensor, poses: Tensor, grid: VoxelGrid, s: PlaneSweepSettings
+) -> Iterator[trimesh.Trimesh]:
+    for _, slab in fuse_in_slabs(depths, K, poses, grid, s.truncation, s.far):
+        yield extract_mesh(slab)
