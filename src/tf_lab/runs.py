@@ -57,6 +57,8 @@ def main() -> None:
             print("\n".join(map(details, entries)))
         if given.action == "rm":
             remove(entries, given.dry_run)
+    except BrokenPipeError:  # whoever reads has seen enough
+        os._exit(1)
     except (TFLabError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -265,6 +265,11 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
     ("argument", "expected"),
     [
         ("views=0", ("views=0", "at least one view")),
+        ("seed=-1", ("seed=-1: must be at least 0",)),
+        ("data.width=0", ("data.width=0: must be at least 1",)),
+        ("optimizer.steps=-3", ("optimizer.steps=-3: must be at least 1",)),
+        ("training.images=0", ("training.images=0: must be at least 1",)),
+        ("metrics=[normals,foo]", ("metrics=[normals,foo]: no foo among the metrics: normals",)),
         ("resolution=0.03", ("resolution=0.03", "must be a multiple")),
         ("optimizer.schedule=linear", ("optimizer.schedule=linear", "inverse_sqrt or cosine")),
         ("encoder.weights=none.pt", ("none.pt: no such weights file",)),
@@ -285,6 +290,8 @@ def test_a_bad_setting_of_train(
     told(train(f"output={tmp_path}", argument), *expected)
     assert not list(tmp_path.glob("trainings/*/*.safetensors"))
     assert not list(tmp_path.glob("trainings/*/last.ckpt"))
+    if argument != "training.images=99":  # found out by drawing chunks
+        assert not list(tmp_path.glob("trainings/*/config.yaml"))
 
 
 def test_an_encoder_that_does_not_ship() -> None:

@@ -22,6 +22,7 @@ from omegaconf.errors import ValidationError
 from tf_lab.cli.help import is_within
 from tf_lab.config.schema import PARTS
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.experiments.launcher import JOB, task_overrides
 
 FOUND_OUT = "content"  # of the data, when a run begins
@@ -65,6 +66,12 @@ def check_groups(overrides: Sequence[str], conf: Path) -> None:
         group, _, choice = word.lstrip("+").partition("=")
         options = {path.stem for path in (conf / group).glob("*.yaml")}
         options |= {part.choice for parts in PARTS if parts.group == group for part in parts}
+        if group == "metrics" and choice.startswith("["):  # Hydra would say it in five lines
+            named = [part.strip() for part in choice.strip("[]").split(",") if part.strip()]
+            known = [part.choice for part in METRICS if part.name not in PAPER]
+            for name in named:
+                if name not in known:
+                    raise TFLabError(f"{word}: no {name} among the metrics: {', '.join(known)}")
         if choice == "null" and options:
             there = ", ".join(sorted(options))
             raise TFLabError(f"{word}: choose one of {there}, or leave it out")

@@ -134,8 +134,6 @@ def train(config: TrainConfig) -> Path:
 
 
 def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
-    if not is_helper():
-        write_config(config, directory / "config.yaml")
     L.seed_everything(config.seed, verbose=False)
     t, optimizer = config.training, config.optimizer
     network, source = make_network(config), open_source(config.data, config.content)
@@ -150,7 +148,9 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         [*config.metrics.values()],
     )
 
-    def data() -> SceneDataModule:
+    def data() -> SceneDataModule:  # once nothing more is wrong with the settings
+        if not is_helper():
+            write_config(config, directory / "config.yaml")
         train = source.chunks(t.chunk, config.model.near, config.model.far)
         val = [*source.scenes("val")["val"].values()]
         return SceneDataModule(train, val, config.seed, config.trainer.workers)

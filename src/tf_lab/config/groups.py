@@ -8,7 +8,7 @@ from typing import Any
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.online.views import POLICIES
-from tf_lab.support.settings import lists_to_tuples, setting
+from tf_lab.support.settings import at_least, lists_to_tuples, setting
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,11 @@ class TrainingSettings(ChunkSettings):
     maps_memory: float = setting(4.0, "GiB of feature maps kept if the encoder is frozen")
     validate_every: int = setting(5000, "steps between scores of the val scenes; 0: never")
     save_every: int = setting(1000, "steps between checkpoints to resume from")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(1, "training.", self, "chunks", "images", "points", "save_every")
+        at_least(0, "training.", self, "validate_every", "maps_memory", "seen_by")
 
     @property
     def chunk(self) -> ChunkSettings:
@@ -84,6 +89,8 @@ class OptimizerSettings:
 
     def __post_init__(self) -> None:
         lists_to_tuples(self)
+        at_least(1, "optimizer.", self, "steps")
+        at_least(0, "optimizer.", self, "lr", "warmup", "clip", "weight_decay", "encoder_factor")
         if self.schedule not in ("inverse_sqrt", "cosine"):
             raise TFLabError(f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine")
 

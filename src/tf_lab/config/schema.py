@@ -32,7 +32,7 @@ from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
 from tf_lab.online.views import POLICIES
 from tf_lab.support.registry import Registry
-from tf_lab.support.settings import setting
+from tf_lab.support.settings import at_least, setting
 
 PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
 
@@ -77,6 +77,9 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         {}, "beside the paper's, by name, with their settings", shapes="scores"
     )
     content: Content = field(default_factory=Content)
+
+    def __post_init__(self) -> None:
+        at_least(0, "", self, "seed")
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,10 @@ def find_runs(output: Path) -> list[Entry]:
 
 
 def _folders(parent: Path) -> list[Path]:
+    """Those that hold something; one that was refused before it began has a lock only."""
     found = parent.iterdir() if parent.is_dir() else ()
-    return sorted(path for path in found if path.is_dir() and not path.name.startswith("."))
+    folders = (path for path in found if path.is_dir() and not path.name.startswith("."))
+    return sorted(f for f in folders if any(not p.name.startswith(".") for p in f.iterdir()))
 
 
 def _training(directory: Path) -> Entry:

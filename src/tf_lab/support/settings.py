@@ -18,6 +18,8 @@ from collections.abc import Iterator
 from dataclasses import MISSING
 from typing import Any, Literal
 
+from tf_lab.errors import TFLabError
+
 Shapes = Literal["weights", "scores", "nothing"]
 Kind = Literal["value", "path", "source"]
 
@@ -77,6 +79,18 @@ def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasse
             yield from described(value, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", field
+
+
+def at_least(least: float, group: str, settings: Any, *names: str) -> None:
+    """That settings of a group are no less than a number; None is no number.
+
+    Raises:
+        TFLabError: one is less.
+    """
+    for name in names:
+        value = getattr(settings, name)
+        if value is not None and value < least:
+            raise TFLabError(f"{group}{name}={value}: must be at least {least:g}")
 
 
 def lists_to_tuples(settings: Any) -> None:

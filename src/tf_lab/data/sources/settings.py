@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tf_lab.data.reading import AS_STATED, ReadSettings
-from tf_lab.support.settings import setting
+from tf_lab.support.settings import at_least, setting
 
 CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:HOME,.}/.cache/tf_lab}"
 
@@ -45,6 +45,10 @@ class EmbeddedData:
     frames: int = setting(128, "of a training scene", shapes="weights")
     test_frames: int = setting(260, "of a val or test scene", shapes="scores")
     workers: int | None = setting(None, "rendering processes; null: one a core")
+
+    def __post_init__(self) -> None:
+        at_least(1, "data.", self, "width", "height", "frames", "test_frames", "workers")
+        at_least(0, "data.", self, "size", "val_size", "test_size")
 
 
 @dataclass(frozen=True)
