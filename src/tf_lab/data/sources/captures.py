@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,13 +32,13 @@ class PreparedSource(DataSource):
 
     settings: PreparedData
 
+    @abstractmethod
     def captures(self, splits: Sequence[str]) -> dict[str, dict[str, Path]]:
         """The captures of each split, by the name of their scene.
 
         Raises:
             TFLabError: the source is missing, or a split names what is not there.
         """
-        raise NotImplementedError
 
     @property
     def import_settings(self) -> ImportSettings:
