@@ -50,7 +50,8 @@ signal.pause()
 """
 
 PARENT_PROCESS = """
-import os, sys
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, if the tests run behind
 from pathlib import Path
 from tf_lab.support.processes import Children
 command = [sys.executable, "-c", sys.argv[1], sys.argv[2]]

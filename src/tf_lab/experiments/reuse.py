@@ -104,5 +104,5 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
 
 
 def _but_for_steps(config: TrainConfig) -> str:
-    optimizer = replace(config.optimizer, steps=0)
+    optimizer = replace(config.optimizer, steps=1)
     return key_of(training_identity(replace(config, optimizer=optimizer)))
