@@ -271,7 +271,7 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
         ("training.images=0", ("training.images=0: must be at least 1",)),
         ("metrics=[normals,foo]", ("metrics=[normals,foo]: no foo among the metrics: normals",)),
         ("resolution=0.03", ("resolution=0.03", "must be a multiple")),
-        ("optimizer.schedule=linear", ("optimizer.schedule=linear", "inverse_sqrt or cosine")),
+        ("optimizer.schedule=linear", ("optimizer.schedule=linear", "inverse_sqrt, cosine")),
         ("encoder.weights=none.pt", ("none.pt: no such weights file",)),
         ("encoder.weights=rooms", ("encoder.weights=rooms", "encoder.weights=none")),
         ("model.heads=3", ("model.width=8", "multiple of heads=3")),

@@ -197,6 +197,20 @@ def test_the_cosine_schedule_ends_at_zero() -> None:
     assert learning_rate_factor(settings, 1000) == pytest.approx(0, abs=1e-6)
 
 
+def test_the_schedule_that_is_level_until_its_last_fifth() -> None:
+    """So that the first steps of a longer training are the same."""
+    words = ("optimizer.schedule=warmup_stable_decay", "optimizer.warmup=50")
+    short, long = (
+        composed("train", *words, f"optimizer.steps={n}").optimizer for n in (1000, 3000)
+    )
+    assert learning_rate_factor(short, 24) == pytest.approx(0.5)
+    for step in (*range(0, 800, 50), 799):
+        assert learning_rate_factor(short, step) == learning_rate_factor(long, step)
+    assert learning_rate_factor(short, 799) == 1
+    assert learning_rate_factor(short, 900) == pytest.approx(0.5)
+    assert learning_rate_factor(short, 1000) == 0
+
+
 def test_configs_are_found_from_any_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

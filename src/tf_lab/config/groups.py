@@ -65,6 +65,9 @@ class TrainingSettings(ChunkSettings):
         return ChunkSettings(**{**{name: getattr(self, name) for name in names}, "rules": rules})
 
 
+SCHEDULES = ("inverse_sqrt", "cosine", "warmup_stable_decay")
+
+
 @dataclass(frozen=True, kw_only=True)
 class OptimizerSettings:
     """Adam and its schedule (paper, Sec. 3.5)."""
@@ -74,12 +77,13 @@ class OptimizerSettings:
     eps: float = setting(1e-8, "added to the denominator", shapes="weights")
     weight_decay: float = setting(about="L2, added to the gradient", shapes="weights")
     schedule: str = setting(
-        about="after the warm-up: inverse_sqrt, or cosine (to 0 at the last step)",
+        about="after the warm-up: inverse_sqrt, cosine (to 0 at the last step), or "
+        "warmup_stable_decay (level, then linearly to 0 over the last fifth)",
         shapes="weights",
     )
     warmup: int = setting(about="steps of linear warm-up", shapes="weights")
     steps: int = setting(
-        about="in all; more: inverse_sqrt goes on from a finished training, cosine by init=",
+        about="in all; more: inverse_sqrt goes on from a finished training, the others by init=",
         shapes="weights",
     )
     clip: float = setting(about="largest gradient norm; 0: any", shapes="weights")
@@ -91,8 +95,10 @@ class OptimizerSettings:
         lists_to_tuples(self)
         at_least(1, "optimizer.", self, "steps")
         at_least(0, "optimizer.", self, "lr", "warmup", "clip", "weight_decay", "encoder_factor")
-        if self.schedule not in ("inverse_sqrt", "cosine"):
-            raise TFLabError(f"optimizer.schedule={self.schedule}: choose inverse_sqrt or cosine")
+        if self.schedule not in SCHEDULES:
+            raise TFLabError(
+                f"optimizer.schedule={self.schedule}: choose one of {', '.join(SCHEDULES)}"
+            )
 
 
 @dataclass(frozen=True)

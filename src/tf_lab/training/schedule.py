@@ -6,16 +6,22 @@ import math
 
 from tf_lab.config.groups import OptimizerSettings
 
+DECAY = 0.2  # share of the steps in which warmup_stable_decay falls
+
 
 def learning_rate_factor(settings: OptimizerSettings, step: int) -> float:
     """The learning rate at a step (from 0) over the peak, as ``optimizer.schedule`` says.
 
-    Linear warm-up, then the inverse square root of the step (paper, Sec. 3.5) or half a cosine.
+    Linear warm-up, then the inverse square root of the step (paper, Sec. 3.5), half a cosine, or
+    the peak until a linear fall to 0 over the last fifth (warmup-stable-decay, Hu et al. 2024): a
+    training of more steps can go on from any state before the fall, by ``init=``.
     """
     warmup = max(1, settings.warmup)
     warm = min(1.0, (step + 1) / warmup)
     if settings.schedule == "inverse_sqrt":
         return warm * (warmup / max(step + 1, warmup)) ** 0.5
+    if settings.schedule == "warmup_stable_decay":
+        return min(warm, (settings.steps - step) / max(1, DECAY * settings.steps))
     done = max(0, step - settings.warmup) / max(1, settings.steps - settings.warmup)
     return warm * half_cosine(min(1.0, done))
 
