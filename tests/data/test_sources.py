@@ -17,6 +17,7 @@ from tf_lab.data.sources.settings import (
     ScanNetData,
     ShardsData,
 )
+from tf_lab.data.sources.source import open_source
 
 Check = Callable[[Any], None]
 SIZE: dict[str, Any] = {"width": 64, "height": 48, "workers": 1}
@@ -53,7 +54,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory, box_scene: Path) -> dict[
     small_shards.write(root / "shards", small_shards.sampler(box_scene))
     return {
         "rooms": RoomsData(**EMBEDDED, **cache),
-        "flats": FlatsData(**EMBEDDED, **cache),
+        "flats": FlatsData(**{**EMBEDDED, "size": 1}, **cache, rooms=1),
         "shards": ShardsData(**EMBEDDED, **cache, urls=str(root / "shards")),
         "captures": CapturesData(
             **SIZE,
@@ -71,3 +72,16 @@ def settings(tmp_path_factory: pytest.TempPathFactory, box_scene: Path) -> dict[
 @pytest.mark.parametrize("name", [part.name for part in SOURCES])
 def test_contract(settings: dict[str, Any], name: str, check: Check) -> None:
     check(settings[name])
+
+
+def test_rooms_beside_the_flats_are_those_of_data_rooms(settings: dict[str, Any]) -> None:
+    source = open_source(settings["flats"])
+    assert [*source.scenes("train")["train"]] == ["flat_0000000", "room_0000000"]
+    assert [*source.scenes("test")["test"]] == ["flat_2000000"]
+    alone = RoomsData(**SIZE, size=1, root=settings["flats"].root)
+    room = open_source(alone).scenes("train")["train"]["room_0000000"]
+    assert source.scenes("train")["train"]["room_0000000"] == room
+    assert source.content().versions == {
+        **open_source(alone).content().versions,
+        **open_source(FlatsData(root=alone.root)).content().versions,
+    }

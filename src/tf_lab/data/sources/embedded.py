@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from tf_lab.data.flats import generate_flat
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame, write_scene
-from tf_lab.data.sources.settings import Content, EmbeddedData
+from tf_lab.data.sources.settings import Content, EmbeddedData, FlatsData, RoomsData
 from tf_lab.data.sources.source import DataSource, Prepared
 from tf_lab.support.tasks import SceneJob, prepare_scenes
 
@@ -140,6 +140,34 @@ class RoomSource(EmbeddedSource):
 
 
 class FlatSource(EmbeddedSource):
-    """Synthetic flats."""
+    """Synthetic flats, and single rooms beside them where training asks for it."""
 
     made = FLATS
+    settings: FlatsData
+
+    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
+        """See `DataSource`."""
+        found = super().prepare(splits, check)
+        if "train" not in splits or not self.settings.rooms:
+            return found
+        rooms = self._rooms().prepare(["train"])
+        train = {**found.scenes["train"], **rooms.scenes["train"]}
+        summary = f"{found.summary}\n{rooms.summary}".strip()
+        return Prepared({**found.scenes, "train": train}, {}, summary)
+
+    def has(self, split: str) -> bool:
+        """See `DataSource`."""
+        return super().has(split) or (split == "train" and self.settings.rooms > 0)
+
+    def content(self) -> Content:
+        """See `DataSource`."""
+        content = super().content()
+        if not self.settings.rooms:
+            return content
+        return replace(content, versions={**content.versions, **self._rooms().content().versions})
+
+    def _rooms(self) -> RoomSource:
+        s = self.settings
+        return RoomSource(
+            RoomsData(root=s.root, size=s.rooms, width=s.width, height=s.height, workers=s.workers)
+        )

@@ -65,6 +65,13 @@ class FlatsData(EmbeddedData):
     name: str = setting("flats", "set it by data=", shapes="weights")
     frames: int = setting(70, "of a training flat, for each of its rooms", shapes="weights")
     test_frames: int = setting(230, "of a val or test flat, for each of its rooms", shapes="scores")
+    rooms: int = setting(
+        0, "single rooms to train on beside the flats, as of data=rooms", shapes="weights"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(0, "data.", self, "rooms")
 
 
 @dataclass(frozen=True)
