@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import re
 import statistics
 from pathlib import Path
@@ -21,6 +22,7 @@ from tf_lab.reporting.tables import (
     scene_table,
     seed_table,
     short_table,
+    views_table,
 )
 
 ALL = (
@@ -130,6 +132,25 @@ def test_details(study: Study) -> None:
     first = study.runs[rows[0]["row"], 0].scenes[SCENES[0]]
     assert float(rows[0]["fscore"]) == pytest.approx(first["fscore"], abs=1e-6)
     assert len(records(runs_table(study, "Ours"))) == 3 * len(SCENES)
+
+
+def test_what_views_are_worth_by_row(tmp_path: Path) -> None:
+    """Means over scenes, then over seeds; rows of runs that did not measure it are left out."""
+    for seed, shares in enumerate(((0.5, 0.7), (0.8, 0.8))):
+        path = write_run(tmp_path, "", seed, [0.5, 0.6]) / "metrics.json"
+        metrics = json.loads(path.read_text())
+        sets = [
+            {"visible": v, "visible_of_all": 0.4, "spread": 20, "variety": 9, "views": 4}
+            for v in shares
+        ]
+        names = metrics["scenes"]
+        metrics["details"] = {n: {"view_sets": s} for n, s in zip(names, sets, strict=True)}
+        path.write_text(json.dumps(metrics))
+    write_run(tmp_path, "views=4", 0, [0.5, 0.6])
+    study, _ = open_study([tmp_path])
+    assert cells(views_table(study)) == {
+        "Ours": ["0.700 ± 0.141", "0.400 ± 0.000", "20.0 ± 0.0", "9.0 ± 0.0", "0.550 ± 0.000"]
+    }
 
 
 def test_metrics_that_only_some_runs_have(tmp_path: Path) -> None:

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
+from tf_lab.data.groundtruth import DepthMaps, GroundTruth
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import PROTOCOL
 from tf_lab.evaluation.scores import Scores
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.online.captures import Reconstruction, median_views
+from tf_lab.online.reconstructor import Reconstructor
+from tf_lab.online.views.statistics import ViewSets, view_sets
 from tf_lab.support.files import atomic_path, write_json
 
 
 @dataclass(frozen=True)
 class SceneResult:
-    """The scores of a test scene, and details: seconds, keyframes, frames skipped, views."""
+    """The scores of a test scene, and details: seconds, keyframes, frames skipped, views, and what
+    the views are worth that voxels keep (`ViewSets`).
+    """
 
     scores: Scores
     details: dict[str, Any]
@@ -47,7 +53,18 @@ def save_scene(
         "skipped": result.skipped,
         "median_views": median_views(scene, result.keyframes, scene.groundtruth),
     }
+    if result.online is not None:
+        details["view_sets"] = asdict(surface_views(result.online, scene, result.keyframes))
     return SceneResult(scores, details)
+
+
+def surface_views(online: Reconstructor, scene: Scene, keyframes: Sequence[int]) -> ViewSets:
+    """What the views are worth that fine voxels at the true surface keep."""
+    level = online.fine
+    rows = torch.arange(level.blocks.rows, device=level.device)
+    distance = GroundTruth(scene.groundtruth).surface_distance(level.points(rows).cpu())
+    at_surface = (distance < level.voxel / 2).to(level.device)
+    return view_sets(level, rows[at_surface], DepthMaps(scene, keyframes))
 
 
 def draw(result: Reconstruction, scene: Scene, path: Path, fscore: float) -> None:

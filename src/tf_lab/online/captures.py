@@ -22,11 +22,19 @@ log = logging.getLogger(__name__)
 
 @dataclass
 class Reconstruction:
-    """A mesh in metres, the keyframes it was made of, and the frames that could not be read."""
+    """What came of a capture.
+
+    Attributes:
+        mesh: metres.
+        keyframes: the frames that it was made of, in the order in which they were added.
+        skipped: why which frame could not be read.
+        online: what it was made by, with its view sets; None: by a method without.
+    """
 
     mesh: trimesh.Trimesh
     keyframes: list[int]
     skipped: list[str]
+    online: Reconstructor | None = None
 
 
 def reconstruct(
@@ -63,7 +71,7 @@ def reconstruct(
             f"{capture.name}: none of the {len(keyframes)} keyframes can be read; the first: "
             f"{skipped[0]}"
         )
-    return Reconstruction(online.mesh(), used, skipped)
+    return Reconstruction(online.mesh(), used, skipped, online)
 
 
 def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> float:

@@ -17,6 +17,7 @@ from tf_lab.reporting.tables import (
     runs_table,
     scene_table,
     seed_table,
+    views_table,
 )
 from tf_lab.support.files import atomic_path
 
@@ -32,6 +33,8 @@ def write_report(study: Study, remarks: Sequence[str], output: Path) -> None:
         "seeds": seed_table(study),
         "scenes": scene_table(study),
     }
+    if (views := views_table(study)).groups[0]:
+        pages["views"] = views
     orderings = orderings_table(study)
     for name, table in {**pages, "orderings": orderings}.items():
         _write(output / f"table_{name}.tex", latex(table))

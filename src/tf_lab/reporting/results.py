@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import yaml
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config, write_config
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.scores import Scores
+from tf_lab.evaluation.scores import Scores, mean_scores
 from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
 from tf_lab.experiments.provenance import without_places
 from tf_lab.experiments.reuse import Origin, removal, sessions_of
@@ -39,6 +39,8 @@ class Run:
             lack.
         makers: provenances of the evaluation, of the training, and of each session of it.
         finished: when its ``metrics.json`` was written, seconds since 1970.
+        view_sets: means over scenes of what `tf_lab.online.views.statistics.ViewSets` has; none in
+            an older run.
     """
 
     directory: Path
@@ -49,6 +51,7 @@ class Run:
     scenes: dict[str, Scores]
     makers: tuple[Origin, ...]
     finished: float
+    view_sets: dict[str, float] = field(default_factory=dict)
 
 
 def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
@@ -104,6 +107,7 @@ def read_run(directory: Path) -> Run:
         scenes,
         (origin, training, *sessions_of(training)),
         (directory / "metrics.json").stat().st_mtime,
+        _view_sets(metrics, directory / "metrics.json"),
     )
 
 
@@ -131,6 +135,16 @@ def _scenes(metrics: Mapping[str, Any], path: Path) -> dict[str, Scores]:
     if not values or not all(map(math.isfinite, values)):
         raise TFLabError(f"{path}: damaged (no scene, or a score is no number); {_anew(path)}")
     return scenes
+
+
+def _view_sets(metrics: Mapping[str, Any], path: Path) -> dict[str, float]:
+    try:
+        found = [each["view_sets"] for each in metrics.get("details", {}).values()]
+        return mean_scores(found) if found else {}
+    except KeyError:
+        return {}
+    except (TypeError, AttributeError) as error:
+        raise TFLabError(f"{path}: damaged (view_sets: {error}); {_anew(path)}") from error
 
 
 def _anew(path: Path) -> str:

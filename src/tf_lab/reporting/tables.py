@@ -174,6 +174,34 @@ def scene_table(study: Study) -> Table:
     return Table("scenes", "F-score by test scene, over seeds.", columns, (tuple(body),))
 
 
+def views_table(study: Study) -> Table:
+    """What the views are worth that voxels keep, by row: why a selection scores as it does."""
+    columns = (
+        ROW,
+        Column("visible", "Truly see", "up"),
+        Column("visible_of_all", "Of all views"),
+        Column("spread", "Spread"),
+        Column("variety", "Variety"),
+        SCORE,
+    )
+    forms = {"visible": ".3f", "visible_of_all": ".3f", "spread": ".1f", "variety": ".1f"}
+    body: list[Row] = []
+    for row in study.rows:
+        runs = [study.runs[row, seed] for seed in study.seeds(row)]
+        if all(run.view_sets for run in runs):
+            found = [
+                _over_seeds(np.array([run.view_sets[key] for run in runs]), form)
+                for key, form in forms.items()
+            ]
+            body.append((row, *found, _over_seeds(study.scores(row).mean(1))))
+    caption = (
+        "Of the views that fine voxels at the true surface keep: the share that truly see the "
+        "voxel (and of all views whose frustum holds it), the mean angle between two of them in "
+        "degrees, and how many different ones its 3x3x3 neighbourhood keeps."
+    )
+    return Table("views", caption, columns, _with_best([body], columns))
+
+
 def runs_table(study: Study, row: str | None = None) -> Table:
     """Every score of every run and scene, or of those of one row."""
     columns = (ROW, Column("seed", "Seed"), Column("scene", "Scene"), *_metrics(study.metrics))
