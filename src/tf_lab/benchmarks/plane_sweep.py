@@ -44,7 +44,7 @@ class PlaneSweepSettings:
             in the others it may be hidden.
         baseline: between two cameras, metres: the least, the most, and what is best.
         window: edge of the correlation's window, pixels.
-        least: ZNCC that a depth needs.
+        least: ZNCC that a depth needs; -1: none.
         agree: other views that have to confirm a depth, each within ``tolerance`` of it (a share).
         voxel: edge, and ``truncation``, of the TSDF, metres.
     """
@@ -55,9 +55,9 @@ class PlaneSweepSettings:
     sources: int = 6
     best: int = 3
     baseline: tuple[float, float, float] = (0.05, 0.8, 0.25)
-    window: int = 7
-    least: float = 0.6
-    agree: int = 2
+    window: int = 5
+    least: float = -1.0
+    agree: int = 1
     tolerance: float = 0.03
     voxel: float = 0.04
     truncation: float = 0.12
