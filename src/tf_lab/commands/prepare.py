@@ -17,7 +17,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.experiments.provenance import provenance
 from tf_lab.meshes.files import read_mesh
-from tf_lab.support.files import check_folder
+from tf_lab.support.files import check_folder, file_name
 from tf_lab.support.progress import progress_bar
 
 
@@ -79,7 +79,7 @@ def _draw(scenes: Sequence[Path]) -> None:
     for directory in scenes:
         scene = Scene(directory)
         name = scene.name if directory.name == scene.name else f"{scene.name}-{directory.name}"
-        pictures[directory.parents[1] / "pictures" / f"{name}.png"] = scene
+        pictures[directory.parents[1] / "pictures" / f"{file_name(name)}.png"] = scene
     with progress_bar() as bar:
         for path, scene in bar.track(pictures.items(), description="drawing"):
             if path.exists():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -18,18 +18,28 @@ from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
+from tf_lab.support.records import record
 
 FORMAT = 2
 COLUMNS = ("frames", "logits", "seen")
+
+
+@dataclass(frozen=True)
+class Description:
+    """What the header of a saved reconstruction says."""
+
+    format: int
+    settings: ReconstructionSettings
+    network: str
 
 
 def write_state(
     path: Path, settings: ReconstructionSettings, frames: Frames, levels: Sequence[Level]
 ) -> None:
     """Write a reconstruction as safetensors, whole or not at all; the network is not part of it."""
-    network = fingerprint(frames.network)
-    metadata = {"format": FORMAT, "settings": asdict(settings), "network": network}
+    description = Description(FORMAT, settings, fingerprint(frames.network))
     tensors: dict[str, Tensor] = {}
     if len(frames):
         tensors["images"] = torch.stack(frames.images)
@@ -41,7 +51,7 @@ def write_state(
             tensors[f"{level.name}.{name}"] = level.store.table[name]
     state = {name: tensor.cpu().contiguous().clone() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
-        save_file(state, temporary, {"reconstruction": json.dumps(metadata)})
+        save_file(state, temporary, {"reconstruction": json.dumps(asdict(description))})
 
 
 def read_state(path: Path, network: Network) -> tuple[ReconstructionSettings, dict[str, Tensor]]:
@@ -54,15 +64,17 @@ def read_state(path: Path, network: Network) -> tuple[ReconstructionSettings, di
         raise TFLabError(f"{path}: no such reconstruction")
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = json.loads((file.metadata() or {})["reconstruction"])
-            if metadata["format"] != FORMAT:
+            saved = record(Description, parse_json((file.metadata() or {})["reconstruction"]))
+            if saved.format != FORMAT:
                 raise TFLabError(f"{path}: of another version of tf_lab; reconstruct again")
-            if metadata["network"] != fingerprint(network):
+            if saved.network != fingerprint(network):
                 raise TFLabError(
                     f"{path}: made with another network; load it with that one's checkpoint"
                 )
-            settings = ReconstructionSettings(**metadata["settings"])
-            return settings, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return saved.settings, {
+                name: file.get_tensor(name)
+                for name in file.keys()  # noqa: SIM118
+            }
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise TFLabError(f"{path}: not a saved reconstruction ({error})") from error
 
