@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -84,9 +85,13 @@ def _draw(scenes: Sequence[Path]) -> None:
         for path, scene in bar.track(pictures.items(), description="drawing"):
             if path.exists():
                 continue
-            mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
-            chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
-            images = [scene.image(int(i)) for i in chosen]
+            try:
+                mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
+                chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
+                images = [scene.image(int(i)) for i in chosen]
+            except TFLabError as error:
+                print(f"warning: no picture of {scene.name}: {error}", file=sys.stderr)
+                continue
             compare(mesh, None, images, path, path.stem, label="Ground truth")
     for folder in sorted({path.parent for path in pictures}):
         print(f"pictures: {folder}")

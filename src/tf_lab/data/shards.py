@@ -80,9 +80,7 @@ def decode(sample: Mapping[str, Any]) -> ChunkRecord:
         shapes: list[tuple[int, ...]]
         shapes = [(count, 3, 3), (count, 4, 4), COARSE_GRID.shape, FINE_GRID.shape]
         shapes += [(len(chunk.sdf), 3), (len(chunk.sdf),)]
-        for name, shape in zip(
-            TENSORS, (*shapes, (len(chunk.sdf), 3), (len(chunk.sdf),)), strict=True
-        ):
+        for name, shape in zip(TENSORS, shapes, strict=True):
             if getattr(chunk, name).shape != shape:
                 raise ValueError(f"{name} has shape {list(getattr(chunk, name).shape)}")
         return chunk

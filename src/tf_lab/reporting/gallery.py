@@ -50,7 +50,7 @@ def mesh_path(run: Run, scene: str) -> Path:
     return run.directory / "meshes" / f"{file_name(scene)}.ply"
 
 
-def draw_pictures(study: Study, folder: Path) -> int:
+def draw_pictures(study: Study, folder: Path, size: tuple[int, int] = (400, 300)) -> int:
     """Draw the test scenes of which there are meshes; of the others what is there stays."""
     shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
     if not shown:
@@ -60,7 +60,7 @@ def draw_pictures(study: Study, folder: Path) -> int:
         for scene, runs in bar.track(shown.items(), len(shown), description="drawing"):
             try:
                 truth = groundtruth_mesh(next(iter(runs.values())), scene)
-                draw_scene(runs, scene, truth, folder / f"{file_name(scene)}.png")
+                draw_scene(runs, scene, truth, folder / f"{file_name(scene)}.png", size)
             except TFLabError as error:
                 left_out.append(f"no picture of {scene}: {error}")
     for line in left_out:

@@ -20,7 +20,7 @@ from tf_lab.support.text import read_text
 
 MOST_YAML = 2**20  # bytes; its parser is slow
 MOST_DEPTH = 40
-MOST_ITEMS = 10_000_000
+MOST_ITEMS = 2_000_000
 MOST_DIGITS = 40
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
+import sys
 import types
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -135,7 +135,7 @@ def _whole(_kind: Any, document: Any, name: str) -> Any:
 
 def _number(_kind: Any, document: Any, name: str) -> Any:
     number = isinstance(document, int | float) and not isinstance(document, bool)
-    if not number or not math.isfinite(document):
+    if not number or not abs(document) <= sys.float_info.max:
         raise _wrong(name, document, "a finite number")
     return float(document)
 
