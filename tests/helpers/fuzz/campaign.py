@@ -14,12 +14,35 @@ from typing import Any
 
 import numpy as np
 
+from helpers.fuzz.archives import change_tar
 from helpers.fuzz.kinds import KINDS
-from helpers.fuzz.mutations import mutate
+from helpers.fuzz.mutations import (
+    MUTATIONS,
+    Mutation,
+    change_arrays,
+    change_document,
+    change_header,
+    flip_bits,
+    pick,
+    resize_jpeg,
+    resize_png,
+)
 from tf_lab.errors import TFLabError
 
 SECONDS = 20  # for one input
 MEMORY = 4 * 2**30  # address space, beyond what is in use at the start
+
+
+STRUCTURED: dict[str, Mutation] = {
+    ".json": change_document,
+    ".yaml": change_document,
+    ".safetensors": change_header,
+    ".npy": change_arrays,
+    ".npz": change_arrays,
+    ".tar": change_tar,
+    ".png": resize_png,
+    ".jpg": resize_jpeg,
+}
 
 
 def limit_memory() -> None:
@@ -31,6 +54,26 @@ def limit_memory() -> None:
 
 def _too_slow(*_: object) -> None:
     raise TimeoutError(f"more than {SECONDS} s")
+
+
+def mutate(folder: Path, rng: np.random.Generator) -> list[str]:
+    """Damage one or two files of a folder; what was done."""
+    done = []
+    for _ in range(rng.integers(1, 3)):
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        if not files:
+            break  # the only one was removed
+        path = pick(files, rng)
+        own = STRUCTURED.get(path.suffix)
+        plain = own is None or rng.random() < 0.4
+        mutation = MUTATIONS[rng.integers(len(MUTATIONS))] if plain or own is None else own
+        done.append(f"{mutation.__name__} {path.relative_to(folder)}")
+        try:
+            mutation(path, rng)
+        except Exception:  # damaged before, so that its format has no words for it any more
+            if path.is_file():
+                flip_bits(path, rng)
+    return done
 
 
 def campaign(kind: str, count: int, first: int = 0) -> dict[str, Any]:
