@@ -21,6 +21,7 @@ from tf_lab.support.text import read_text
 MOST_YAML = 2**20  # bytes; its parser is slow
 MOST_DEPTH = 40
 MOST_ITEMS = 2_000_000
+MOST_YAML_ITEMS = 200_000
 MOST_DIGITS = 40
 
 
@@ -72,7 +73,7 @@ def parse_yaml(text: str) -> Any:
         found = yaml.load(text, _Loader)
     except Exception as error:  # PyYAML raises nearly anything
         raise ValueError(f"damaged: not YAML ({_first_line(error)})") from error
-    return _bounded(found)
+    return _bounded(found, MOST_YAML_ITEMS)
 
 
 def _first_line(error: Exception) -> str:
@@ -103,7 +104,7 @@ for _tag in ("int", "float"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _Loader.construct_number)
 
 
-def _bounded(document: Any) -> Any:
+def _bounded(document: Any, most: int = MOST_ITEMS) -> Any:
     """The document itself.
 
     Raises:
@@ -116,8 +117,8 @@ def _bounded(document: Any) -> Any:
             if isinstance(value, dict | list):
                 items = [*value, *value.values()] if isinstance(value, dict) else value
                 count += len(items)
-                if count > MOST_ITEMS:
-                    raise ValueError(f"damaged: holds more than {MOST_ITEMS} items")
+                if count > most:
+                    raise ValueError(f"damaged: holds more than {most} items")
                 deeper += [v for v in items if not isinstance(v, float)]
             elif isinstance(value, str):
                 if not (value.isascii() or _is_text(value)):
