@@ -112,7 +112,8 @@ def read_run(directory: Path) -> Run:
 def _view_sets(metrics: Metrics) -> dict[str, float]:
     """The means over scenes; nothing where a scene does not say."""
     found = [each.get("view_sets") or {} for each in metrics.details.values()]
-    return mean_scores(found) if found and all(found) else {}
+    alike = bool(found) and all(each.keys() == found[0].keys() for each in found)
+    return mean_scores(found) if alike else {}
 
 
 def _anew(path: Path) -> str:

@@ -27,7 +27,7 @@ from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.network.encoders.weights import read_state_dict
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
-from tf_lab.online import Reconstructor
+from tf_lab.online import ReconstructionSettings, Reconstructor
 from tf_lab.reporting.gallery import draw_pictures
 from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import tables_page
@@ -119,7 +119,7 @@ def network() -> Network:
         "unit_norm": True,
     }  # fmt: skip
     sizes = {"width": 4, "blocks": 1, "heads": 2, "expansion": 1.0, "hidden": 4, "refine_blocks": 1}
-    return Network(NetworkConfig(**sizes, encoder=encoder, fusion="gru")).eval()  # type: ignore[arg-type]
+    return Network(NetworkConfig(**sizes, encoder=encoder, fusion="gru", far=1.2)).eval()  # type: ignore[arg-type]
 
 
 def write_checkpoint(folder: Path) -> None:
@@ -127,7 +127,7 @@ def write_checkpoint(folder: Path) -> None:
 
 
 def write_reconstruction(folder: Path) -> None:
-    scene = Reconstructor(network())
+    scene = Reconstructor(network(), ReconstructionSettings(resolution=0.1))
     for frame in list(box_room.frames())[:2]:
         scene.add_frame(frame.image[::2, ::2], frame.K / [[2], [2], [1]], frame.world_T_cam)
     scene.save(folder / "reconstruction.safetensors")
