@@ -1,4 +1,5 @@
-from collections.abc import Callable
+import socket
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,16 @@ hypothesis.settings.load_profile("tf_lab")
 # The tests' tensors are small: a second thread costs more than it gives, above all beside others.
 torch.set_num_threads(1)
 
+LOOPBACK = ("127.0.0.1", "::1", "localhost", None, "")
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Of tests/reliability."""
+    parser.addoption(
+        "--mutations", type=int, default=2000, help="damaged inputs a kind, of the slow campaigns"
+    )
+
 
 TINY = NetworkConfig(
     width=12,
@@ -43,6 +53,30 @@ TINY = NetworkConfig(
         "unit_norm": True,
     },
 )
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_network() -> Iterator[None]:
+    """No test reaches beyond this machine: whatever it runs (train, report, ...) needs no network.
+
+    What fails the test is no Exception, so that nobody takes it for a network that is down.
+    """
+    connect, look_up = socket.socket.connect, socket.getaddrinfo
+
+    def checked_connect(self: socket.socket, address: Any) -> None:
+        if self.family != socket.AF_UNIX and address[0] not in LOOPBACK:
+            pytest.fail(f"a connection to {address}")
+        connect(self, address)
+
+    def checked_look_up(host: Any, *arguments: Any, **more: Any) -> Any:
+        if host not in LOOPBACK:
+            pytest.fail(f"a look-up of {host}")
+        return look_up(host, *arguments, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "connect", checked_connect)
+        patch.setattr(socket, "getaddrinfo", checked_look_up)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -115,11 +115,11 @@ def details(entry: Entry) -> str:
     lines = [f"{entry.directory}: {entry.label}, {', '.join(_start(entry)[1:])}"]
     metrics = read_metrics(entry.directory) if entry.state == "finished" else None
     if metrics is not None:
-        rows = [*metrics["scenes"].items(), (metrics["label"], metrics["mean"])]
+        rows = [*metrics.scenes.items(), (metrics.label, metrics.mean)]
         lines += ["", format_table(rows, "Scene")]
     known = {key: value for key, value in entry.origin.items() if key != "config"}
     if "training" in known:
-        training = known["training"]
+        training = entry.origin["training"]
         known["training"] = {k: v for k, v in training.items() if k != "config"}
     lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
     path = entry.directory / "config.yaml"

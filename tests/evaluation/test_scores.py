@@ -6,7 +6,7 @@ import pytest
 
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation import PAPER
-from tf_lab.evaluation.scores import format_table, read_metrics, score
+from tf_lab.evaluation.scores import Metrics, format_table, read_metrics, score
 
 VALUES = dict(zip(PAPER, (5.517, 8.269, 6.893, 0.7284, 0.6, 0.6549), strict=True))
 
@@ -32,8 +32,8 @@ def test_what_a_row_lacks_is_a_dash_and_what_it_has_more_follows() -> None:
 
 def test_stored_metrics(tmp_path: Path) -> None:
     assert read_metrics(tmp_path) is None
-    (tmp_path / "metrics.json").write_text('{"mean": {"acc": 1}}')
-    assert read_metrics(tmp_path) == {"mean": {"acc": 1}}
+    (tmp_path / "metrics.json").write_text('{"mean": {"acc": 1}, "scenes": {"a": {"acc": 1}}}')
+    assert read_metrics(tmp_path) == Metrics({"acc": 1.0}, {"a": {"acc": 1.0}})
     (tmp_path / "metrics.json").write_text("{")
     with pytest.raises(TFLabError, match=r"metrics\.json: damaged"):
         read_metrics(tmp_path)

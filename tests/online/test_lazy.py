@@ -223,6 +223,7 @@ def test_save_and_go_on(
     half.mesh()
     path = tmp_path / "half.safetensors"
     half.save(path)
+    assert_same_surface(Reconstructor.load(path, network).mesh(), half.mesh())
     r = add(Reconstructor.load(path, network), scene, FRAMES[3:])
     assert r.settings == half.settings
     assert r.policy == half.policy

@@ -9,7 +9,8 @@ import pytest
 
 from tf_lab.data.readers.parsing import read_poses
 from tf_lab.errors import TFLabError
-from tf_lab.support.text import parse_numbers, read_json, read_lines, read_numbers, read_text
+from tf_lab.support.documents import read_json
+from tf_lab.support.text import parse_numbers, read_lines, read_numbers, read_text
 
 TEXT = "grün 1\n\n# nothing\n  2\n"
 
@@ -34,7 +35,7 @@ def test_no_text(tmp_path: Path) -> None:
         read_text(path, "write it")
     for content in ("{", "[" * 100_000):
         path.write_text(content)
-        with pytest.raises(TFLabError, match=r"a\.txt: not json .*; write it"):
+        with pytest.raises(TFLabError, match=r"a\.txt: damaged: not JSON .*; write it"):
             read_json(path, "write it")
 
 

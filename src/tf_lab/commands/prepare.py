@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.experiments.provenance import provenance
 from tf_lab.meshes.files import read_mesh
-from tf_lab.support.files import check_folder
+from tf_lab.support.files import check_folder, file_name
 from tf_lab.support.progress import progress_bar
 
 
@@ -79,14 +80,18 @@ def _draw(scenes: Sequence[Path]) -> None:
     for directory in scenes:
         scene = Scene(directory)
         name = scene.name if directory.name == scene.name else f"{scene.name}-{directory.name}"
-        pictures[directory.parents[1] / "pictures" / f"{name}.png"] = scene
+        pictures[directory.parents[1] / "pictures" / f"{file_name(name)}.png"] = scene
     with progress_bar() as bar:
         for path, scene in bar.track(pictures.items(), description="drawing"):
             if path.exists():
                 continue
-            mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
-            chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
-            images = [scene.image(int(i)) for i in chosen]
+            try:
+                mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
+                chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
+                images = [scene.image(int(i)) for i in chosen]
+            except TFLabError as error:
+                print(f"warning: no picture of {scene.name}: {error}", file=sys.stderr)
+                continue
             compare(mesh, None, images, path, path.stem, label="Ground truth")
     for folder in sorted({path.parent for path in pictures}):
         print(f"pictures: {folder}")

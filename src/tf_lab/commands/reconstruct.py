@@ -22,6 +22,7 @@ from tf_lab.data.readers import open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
+from tf_lab.data.settings import MOST_SIDE
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
@@ -32,8 +33,9 @@ from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.support.devices import device_of
-from tf_lab.support.files import atomic_path, check_file
+from tf_lab.support.files import atomic_path, check_file, file_name
 from tf_lab.support.progress import progress_bar
+from tf_lab.support.records import record
 
 NETWORK, STEREO = METHODS = ("network", "plane_sweep")
 
@@ -51,7 +53,7 @@ def run(config: ReconstructConfig) -> None:
     check_file(output)
     capture = _open(config, info)
     if config.input is None and config.output is None:
-        output = output.with_stem(capture.name)
+        output = output.with_stem(file_name(capture.name))
     start = time.time()
     result = _reconstruct(network, capture, config)
     seconds = time.time() - start
@@ -93,10 +95,26 @@ def _open(config: ReconstructConfig, info: dict[str, Any]) -> Capture:
     warning = quick_warning(capture, settings) if config.check else None
     if warning is not None:
         print(f"warning: {config.input}: {warning}", file=sys.stderr)
-    data = info.get("training", {}).get("config", {}).get("data", {})
-    if "width" not in data:
-        return capture
-    return Resized(capture, (data["width"], data["height"]))
+    size = _trained_size(info)
+    return Resized(capture, size) if size else capture
+
+
+def _trained_size(info: dict[str, Any]) -> tuple[int, int] | None:
+    """The (width, height) of the images that a checkpoint was trained at, if it says so.
+
+    Raises:
+        TFLabError: it says something else.
+    """
+    try:
+        data = info["training"]["config"]["data"]
+        size = record(tuple[int, int], [data["width"], data["height"]], "image size")
+    except (KeyError, TypeError):
+        return None
+    except ValueError as error:
+        raise TFLabError(f"the checkpoint's {error}; train it again") from error
+    if not all(1 <= side <= MOST_SIDE for side in size):
+        raise TFLabError(f"the checkpoint's image size {size} is impossible; train it again")
+    return size
 
 
 def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) -> Reconstruction:

@@ -43,7 +43,8 @@ log = logging.getLogger(__name__)
 def run(config: TrainConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     torch.set_float32_matmul_precision("high")
-    build_network(config), config.training.chunk  # what is wrong is told before data is made
+    # what is wrong is told before data is made
+    build_network(config), config.training.chunk, capture_settings(config)
     config = identified(config)
     start = time.time()
     run = run_directory(config)
@@ -63,9 +64,9 @@ def run(config: TrainConfig) -> None:
             return
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
-    log_scores(config, run, metrics["mean"])
+    log_scores(config, run, metrics.mean)
     label = row_label(config)
-    print(format_table([*metrics["scenes"].items(), (label, metrics["mean"])]))
+    print(format_table([*metrics.scenes.items(), (label, metrics.mean)]))
     print(f"training: {training_directory(config)}\nrun:      {run}")
     print(f"pictures: {run / 'pictures'}   ({(time.time() - start) / 60:.1f} minutes in all)")
 

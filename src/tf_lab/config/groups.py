@@ -7,23 +7,16 @@ from typing import Any
 
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
+from tf_lab.network.settings import NetworkSizes
 from tf_lab.online.views import POLICIES
-from tf_lab.support.settings import at_least, lists_to_tuples, setting
+from tf_lab.support.settings import lists_to_tuples, setting
 
 
-@dataclass(frozen=True)
-class ModelSettings:
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings(NetworkSizes):
     """The network's size (paper, Sec. 3)."""
 
     name: str = setting(about="begins the names of trainings and runs", shapes="weights")
-    width: int = setting(about="D, of tokens, fused and refined features", shapes="weights")
-    blocks: int = setting(about="transformer blocks a level", shapes="weights")
-    heads: int = setting(about="of attention", shapes="weights")
-    expansion: float = setting(about="width of the feed-forward modules over D", shapes="weights")
-    hidden: int = setting(about="width of the occupancy perceptron", shapes="weights")
-    refine_blocks: int = setting(about="residual 3D-conv blocks a level", shapes="weights")
-    near: float = setting(about="metres; a view measures points from this depth", shapes="weights")
-    far: float = setting(about="metres; to this depth", shapes="weights")
 
 
 @dataclass(frozen=True)
@@ -41,15 +34,12 @@ class InputSettings:
 class TrainingSettings(ChunkSettings):
     """How chunks are drawn, the losses, and when something is saved."""
 
-    sdf_weight: float = setting(0.0, "of the auxiliary signed-distance loss", shapes="weights")
-    maps_memory: float = setting(4.0, "GiB of feature maps kept if the encoder is frozen")
-    validate_every: int = setting(5000, "steps between scores of the val scenes; 0: never")
-    save_every: int = setting(1000, "steps between checkpoints to resume from")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        at_least(1, "training.", self, "chunks", "images", "points", "save_every")
-        at_least(0, "training.", self, "validate_every", "maps_memory", "seen_by")
+    sdf_weight: float = setting(
+        0.0, "of the auxiliary signed-distance loss", shapes="weights", least=0
+    )
+    maps_memory: float = setting(4.0, "GiB of feature maps kept if the encoder is frozen", least=0)
+    validate_every: int = setting(5000, "steps between scores of the val scenes; 0: never", least=0)
+    save_every: int = setting(1000, "steps between checkpoints to resume from", least=1)
 
     @property
     def chunk(self) -> ChunkSettings:
@@ -72,29 +62,30 @@ SCHEDULES = ("inverse_sqrt", "cosine", "warmup_stable_decay")
 class OptimizerSettings:
     """Adam and its schedule (paper, Sec. 3.5)."""
 
-    lr: float = setting(about="peak learning rate", shapes="weights")
-    betas: tuple[float, float] = setting((0.9, 0.999), "decay of both moments", shapes="weights")
-    eps: float = setting(1e-8, "added to the denominator", shapes="weights")
-    weight_decay: float = setting(about="L2, added to the gradient", shapes="weights")
+    lr: float = setting(about="peak learning rate", shapes="weights", least=0)
+    betas: tuple[float, float] = setting(
+        (0.9, 0.999), "decay of both moments", shapes="weights", least=0, most=0.999999
+    )
+    eps: float = setting(1e-8, "added to the denominator", shapes="weights", above=0)
+    weight_decay: float = setting(about="L2, added to the gradient", shapes="weights", least=0)
     schedule: str = setting(
         about="after the warm-up: inverse_sqrt, cosine (to 0 at the last step), or "
         "warmup_stable_decay (level, then linearly to 0 over the last fifth)",
         shapes="weights",
     )
-    warmup: int = setting(about="steps of linear warm-up", shapes="weights")
+    warmup: int = setting(about="steps of linear warm-up", shapes="weights", least=0)
     steps: int = setting(
         about="in all; more: inverse_sqrt goes on from a finished training, the others by init=",
         shapes="weights",
+        least=1,
     )
-    clip: float = setting(about="largest gradient norm; 0: any", shapes="weights")
+    clip: float = setting(about="largest gradient norm; 0: any", shapes="weights", least=0)
     encoder_factor: float = setting(
-        about="the encoder's learning rate over the others'; 0: frozen", shapes="weights"
+        about="the encoder's learning rate over the others'; 0: frozen", shapes="weights", least=0
     )
 
     def __post_init__(self) -> None:
         lists_to_tuples(self)
-        at_least(1, "optimizer.", self, "steps")
-        at_least(0, "optimizer.", self, "lr", "warmup", "clip", "weight_decay", "encoder_factor")
         if self.schedule not in SCHEDULES:
             raise TFLabError(
                 f"optimizer.schedule={self.schedule}: choose one of {', '.join(SCHEDULES)}"
@@ -110,7 +101,7 @@ class TrainerSettings:
     precision: str = setting("32-true", "or bf16-mixed, 16-mixed", shapes="weights")
     strategy: str = setting("auto", "ddp for several devices")
     compile: bool = setting(False, "torch.compile")
-    workers: int = setting(1, "loader processes a device")
+    workers: int = setting(1, "loader processes a device", least=0)
     others: dict[str, Any] = setting(
         {},
         "more arguments of lightning.Trainer, as +trainer.others.max_time=00:08:00:00",
@@ -137,23 +128,12 @@ class OnlineSettings:
     maps_budget: float | None = setting(
         None,
         "GiB that they may take; what has no room is encoded again when needed. null: all are kept",
+        above=0,
     )
-    batch: int = setting(8192, "voxels fused at a time")
+    batch: int = setting(8192, "voxels fused at a time", least=1)
     compile: bool = setting(
         False,
         "torch.compile of encoder and fusion: minutes first, and no gain for model=paper on a CPU",
-    )
-
-
-@dataclass(frozen=True)
-class InferenceSettings:
-    """How a network reconstructs; nothing here, and in select and online, trains another one."""
-
-    views: int = setting(16, "K, measurements kept a voxel", shapes="scores")
-    resolution: float = setting(0.02, "metres, marching cubes", shapes="scores")
-    threshold: float = setting(0.5, "of the near-surface masks", shapes="scores")
-    keyframe_distance: float = setting(
-        0.1, "DeepVideoMVS' combined pose distance; 0: every frame", shapes="scores"
     )
 
 
@@ -173,6 +153,8 @@ class LoggerSettings:
 class LauncherSettings:
     """How the jobs of a sweep run; which launcher runs them is Hydra's ``hydra/launcher``."""
 
-    jobs: int = setting(1, "of a sweep at a time, by launcher=local")
-    gpus: int = setting(1, "of each job, by launcher=ray; 0 where there is none, or Ray waits")
-    cpus: int = setting(1, "cores of each job, by launcher=ray")
+    jobs: int = setting(1, "of a sweep at a time, by launcher=local", least=1)
+    gpus: int = setting(
+        1, "of each job, by launcher=ray; 0 where there is none, or Ray waits", least=0
+    )
+    cpus: int = setting(1, "cores of each job, by launcher=ray", least=1)

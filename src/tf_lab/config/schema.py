@@ -14,7 +14,6 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from tf_lab.config.groups import (
-    InferenceSettings,
     InputSettings,
     LauncherSettings,
     LoggerSettings,
@@ -25,15 +24,16 @@ from tf_lab.config.groups import (
     TrainingSettings,
 )
 from tf_lab.data.reading import ReadSettings
-from tf_lab.data.settings import PhotometricSettings
+from tf_lab.data.settings import MOST_SIDE, PhotometricSettings
 from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.settings import Content
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
+from tf_lab.online.settings import InferenceSettings
 from tf_lab.online.views import POLICIES
 from tf_lab.support.registry import Part, Registry
-from tf_lab.support.settings import at_least, setting
+from tf_lab.support.settings import MOST_SEED, setting
 
 PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
 
@@ -66,7 +66,9 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         "more callbacks, as +callbacks.any._target_=lightning.pytorch.callbacks.DeviceStatsMonitor",
     )
     launcher: LauncherSettings = field(default_factory=LauncherSettings)
-    seed: int = setting(0, "of weights, chunks and random choices", shapes="weights")
+    seed: int = setting(
+        0, "of weights, chunks and random choices", shapes="weights", least=0, most=MOST_SEED
+    )
     init: str | None = setting(
         None,
         "start from these weights (a run's model.safetensors, or shipped), or go on from this "
@@ -79,9 +81,6 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     )
     content: Content = field(default_factory=Content)
 
-    def __post_init__(self) -> None:
-        at_least(0, "", self, "seed")
-
 
 @dataclass(frozen=True)
 class PretrainConfig:
@@ -93,25 +92,29 @@ class PretrainConfig:
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     training: Any = None
     optimizer: Any = None
-    seed: int = setting(0, "of weights and pairs", shapes="weights")
-    steps: int = setting(3000, "in all", shapes="weights")
+    seed: int = setting(0, "of weights and pairs", shapes="weights", least=0, most=MOST_SEED)
+    steps: int = setting(3000, "in all", shapes="weights", least=1)
     lr: float = setting(
-        3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights"
+        3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights", least=0
     )
     trunk_factor: float | None = setting(
         None,
         "the trunk's learning rate over the pyramid's; null: 0 (frozen) if it starts from "
         "ImageNet, else 1",
         shapes="weights",
+        least=0,
     )
-    temperature: float = setting(0.07, "of the softmax over candidates", shapes="weights")
-    pairs: int = setting(8, "of images a step", shapes="weights")
-    points: int = setting(320, "correspondences a pair", shapes="weights")
-    epipolar: int = setting(8, "wrong candidates along a point's epipolar line", shapes="weights")
+    temperature: float = setting(0.07, "of the softmax over candidates", shapes="weights", above=0)
+    pairs: int = setting(8, "of images a step", shapes="weights", least=1)
+    points: int = setting(320, "correspondences a pair", shapes="weights", least=1)
+    epipolar: int = setting(
+        8, "wrong candidates along a point's epipolar line", shapes="weights", least=0
+    )
     jitter: float = setting(
         0.7,
         "deviation of a true pixel in training, pixels: real poses are never exact",
         shapes="weights",
+        least=0,
     )
     augment: PhotometricSettings = setting(
         PhotometricSettings(
@@ -128,7 +131,7 @@ class PretrainConfig:
     real: str | None = setting(
         None, "a capture with depth: scored beside the val split, never trained on", kind="path"
     )
-    validate_every: int = setting(1000, "steps")
+    validate_every: int = setting(1000, "steps", least=1)
     output: str = setting(
         "outputs/encoders/${model.name}-${encoder.name}-encoder.safetensors",
         "for encoder.weights=FILE",
@@ -146,12 +149,12 @@ class PrepareConfig:
     optimizer: Any = None
     training: TrainingSettings = MISSING
     splits: list[str] = setting(["train", "val", "test"], "which to prepare")
-    seed: int = setting(0, "of the shards' chunks")
+    seed: int = setting(0, "of the shards' chunks", least=0, most=MOST_SEED)
     shards: str | None = setting(
         None, "a folder: the training chunks go there, too, as webdataset shards", kind="path"
     )
-    shard_chunks: int = setting(10000, "in all")
-    shard_size: int = setting(64, "chunks a shard")
+    shard_chunks: int = setting(10000, "in all", least=1)
+    shard_size: int = setting(64, "chunks a shard", least=1)
     check: bool = setting(True, "warn of captures whose cameras are clearly wrong")
     pictures: bool = setting(False, "draw each scene's frames and ground truth, to look at")
 
@@ -185,7 +188,7 @@ class ReconstructConfig(InferenceSettings, ReadSettings):
     source_frame: bool = setting(
         False, "write the mesh in the source's world instead of the z-up one"
     )
-    seed: int = setting(0, "of select=rnd")
+    seed: int = setting(0, "of select=rnd", least=0, most=MOST_SEED)
     device: str = setting("auto", "auto, cpu, cuda")
 
 
@@ -210,7 +213,7 @@ class EvaluateConfig:
         MISSING, "folder of <scene>/{mesh_gt.ply,occlusion_mask.npy,world2grid.txt}", kind="path"
     )
     output: str | None = setting(None, "metrics as JSON", kind="path")
-    seed: int = setting(0, "of the points sampled on the predicted meshes")
+    seed: int = setting(0, "of the points sampled on the predicted meshes", least=0, most=MOST_SEED)
     metrics: dict[str, Any] = setting({}, "beside the paper's, by name, with their settings")
 
 
@@ -239,17 +242,17 @@ class BenchmarkConfig(NetworkSettings):
     training: Any = None
     online: OnlineSettings = field(default_factory=lambda: OnlineSettings(precision="auto"))
     device: str = setting("auto", "auto, cpu, cuda")
-    width: int = setting(640, "pixels")
-    height: int = setting(480, "pixels")
-    frames: int = setting(20, "added to every room before anything is timed")
-    timed: int = setting(20, "frames over which lazy fusion is timed")
-    eager_timed: int = setting(2, "the same for eager fusion, which takes much longer")
+    width: int = setting(640, "pixels", least=1, most=MOST_SIDE)
+    height: int = setting(480, "pixels", least=1, most=MOST_SIDE)
+    frames: int = setting(20, "added to every room before anything is timed", least=1)
+    timed: int = setting(20, "frames over which lazy fusion is timed", least=1)
+    eager_timed: int = setting(2, "the same for eager fusion, which takes much longer", least=1)
     eager: bool = setting(True, "false leaves the eager measurements out")
-    views: list[int] = setting([4, 8, 16], "K, views kept a voxel")
-    rooms: list[int] = setting([1, 2, 4, 8], "scene sizes")
-    counts: list[int] = setting([10, 500], "frames already there")
-    resolution: float = setting(0.02, "metres, marching cubes")
-    seed: int = setting(0, "of the networks' weights")
+    views: list[int] = setting([4, 8, 16], "K, views kept a voxel", least=1)
+    rooms: list[int] = setting([1, 2, 4, 8], "scene sizes", least=1)
+    counts: list[int] = setting([10, 500], "frames already there", least=0)
+    resolution: float = setting(0.02, "metres, marching cubes", above=0)
+    seed: int = setting(0, "of the networks' weights", least=0, most=MOST_SEED)
     output: str = setting("outputs/benchmark", "a folder for table, JSON and chart", kind="path")
 
 

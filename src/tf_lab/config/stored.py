@@ -14,7 +14,11 @@ from omegaconf.errors import OmegaConfBaseException
 from tf_lab.config.schema import PARTS, TrainConfig
 from tf_lab.config.typed import literal, typed
 from tf_lab.errors import TFLabError
+from tf_lab.support.documents import read_yaml
 from tf_lab.support.files import atomic_path
+from tf_lab.support.records import record
+
+_MISTAKES = (KeyError, TypeError, ValueError, AttributeError)  # of values that are others
 
 
 def write_config(config: TrainConfig, path: Path, portable: bool = False) -> None:
@@ -50,17 +54,11 @@ def read_config(path: Path) -> TrainConfig:
     Raises:
         TFLabError: it is missing, damaged, or of a version that had other settings.
     """
+    values = read_yaml(path, "the settings of a run")
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, yaml.YAMLError) as error:
-        raise TFLabError(f"{path}: damaged ({type(error).__name__})") from error
-    if not isinstance(values, dict):
-        raise TFLabError(f"{path}: damaged (not a mapping)")
-    try:
+        values = record(dict[str, Any], values)
         return typed(TrainConfig, _as_it_stands(_with_places(upgraded(values))))
-    except (OmegaConfBaseException, KeyError, TypeError, AttributeError) as error:
+    except (OmegaConfBaseException, TFLabError, *_MISTAKES) as error:
         reason = str(error).splitlines()[0]
         raise TFLabError(f"{path}: has other settings than this version ({reason})") from error
 

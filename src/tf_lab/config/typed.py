@@ -13,6 +13,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from tf_lab.config.schema import PARTS, node_of
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS
+from tf_lab.support.settings import check_ranges
 
 T = TypeVar("T")
 
@@ -22,7 +23,7 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
 
     Raises:
         OmegaConfBaseException: an unknown setting, one that is missing, or a value of a wrong type.
-        TFLabError: a part that is not there, or a path that is no text.
+        TFLabError: a part that is not there, a number out of its range, or a path that is no text.
     """
     given = values if isinstance(values, DictConfig) else OmegaConf.create(dict(values))
     node = node_of(schema)
@@ -43,6 +44,7 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
     _expand_paths(merged)
     config = OmegaConf.to_object(merged)
     assert isinstance(config, schema)
+    check_ranges(config)
     return config
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -10,7 +12,9 @@ import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.arrays import read_array
 
+MAX_PIXELS = 100_000_000  # of an image
 MAX_METRES = 50.0  # rooms are smaller, in the median of a picture
 
 
@@ -82,11 +86,31 @@ def decode_image(
     return _decode(source, name, check)
 
 
+@contextmanager
+def open_image(source: Path | IO[bytes]) -> Iterator[Image.Image]:
+    """An image whose pixels are not read yet, and are not too many to read.
+
+    Raises:
+        Exception: it is none; damaged data makes Pillow raise nearly anything.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own bound is below
+        with Image.open(source) as image:
+            width, height = image.size
+            if width * height > MAX_PIXELS:
+                gigabytes = width * height * 3 / 2**30
+                raise ValueError(
+                    f"{width}x{height} pixels, {gigabytes:.1f} GiB; at most {MAX_PIXELS / 1e6:.0f} "
+                    "million are read"
+                )
+            yield image
+
+
 def _decode(
     source: Path | IO[bytes], name: object, prepare: Callable[[Image.Image], Image.Image]
 ) -> np.ndarray:
     try:
-        with Image.open(source) as opened:
+        with open_image(source) as opened:
             image = prepare(opened)
             if not image.mode.startswith("I"):
                 return np.asarray(image.convert("RGB"))
@@ -127,10 +151,12 @@ def read_depth(path: Path, scale: float | None = None) -> np.ndarray:
     """
     try:
         if path.suffix.lower() == ".npy":
-            raw = np.asarray(np.load(path, allow_pickle=False))
+            raw = read_array(path, "write it again")
         else:
-            with Image.open(path) as image:
+            with open_image(path) as image:
                 raw = np.asarray(image)
+    except TFLabError:
+        raise
     except Exception as error:  # damaged data makes Pillow raise nearly anything
         raise TFLabError(f"{path}: cannot be read as a depth image ({error})") from error
     if raw.ndim == 3 and 1 in (raw.shape[0], raw.shape[2]):

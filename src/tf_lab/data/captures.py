@@ -229,8 +229,15 @@ def prepare_captures(
     for name in failed:
         with contextlib.suppress(OSError):
             (folder / name).rmdir()  # if nothing was ever made of it
-    found = {name: scene_of(folder / name) for name in sources if name not in failed}
-    return Prepared({name: path for name, path in found.items() if path}, failed)
+    found: dict[str, Path] = {}
+    for name in sources:
+        if name not in failed and (directory := scene_of(folder / name)):
+            try:
+                Scene(directory)
+                found[name] = directory
+            except TFLabError as error:  # damaged since
+                failed[name] = str(error)
+    return Prepared(found, failed)
 
 
 def scene_of(place: Path) -> Path | None:

@@ -17,6 +17,7 @@ from tf_lab.data.gravity import DIRECTION_FILE
 from tf_lab.data.readers.replica import PARAMETERS
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import write_json
+from tf_lab.support.records import read_record
 
 RECORD = "sources.json"
 COMPANIONS = ("poses.txt", "K.txt", DIRECTION_FILE)  # of a video, beside it
@@ -69,10 +70,8 @@ class Sources:
 def read_sources(folder: Path) -> Sources | None:
     """What was noted in a folder; None: nothing that can be read."""
     try:
-        found = json.loads((folder / RECORD).read_text())
-        stamps = {name: (int(size), int(time)) for name, (size, time) in found["stamps"].items()}
-        return Sources(stamps, dict(found["contents"]))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return read_record(Sources, folder / RECORD, "prepare the scene again")
+    except TFLabError:
         return None
 
 

@@ -30,10 +30,13 @@ from tf_lab.data.chunk_weights import Structure, chunk_candidates
 from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse_in_slabs, join, slabs
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid
+from tf_lab.support.arrays import read_array, read_arrays
+from tf_lab.support.text import read_numbers
 
 VERSION = 3  # changes whenever the output for the same depth does
 MAX_DISTANCE = 0.4  # metres, largest value in distance.npy
 MAX_READING = 10.0  # metres, farthest depth that counts as seen
+CURE = "delete the scene and prepare it again"
 MAX_VOXELS = 4_000_000_000  # a larger volume is no indoor scene: some pose is wrong
 
 
@@ -194,18 +197,22 @@ class GroundTruth:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         try:
-            self.sdf_volume = np.load(directory / "sdf.npy", mmap_mode="r")
-            self.distance_volume = np.load(directory / "distance.npy", mmap_mode="r")
-            world2grid = np.loadtxt(directory / "world2grid.txt").reshape(4, 4)
-            with np.load(directory / "chunks.npz") as chunks:
-                self.centers, self.weight = chunks["centers"], chunks["weight"]
+            self.sdf_volume = read_array(directory / "sdf.npy", CURE)
+            self.distance_volume = read_array(directory / "distance.npy", CURE)
+            numbers = read_numbers(directory / "world2grid.txt", CURE)
+            world2grid = np.array(numbers).reshape(4, 4)
+            chunks = read_arrays(directory / "chunks.npz", CURE)
+            self.centers, self.weight = chunks["centers"], chunks["weight"]
             shape = self.sdf_volume.shape
             if len(shape) != 3 or shape != self.distance_volume.shape:
                 raise ValueError(f"volumes of {shape} and {self.distance_volume.shape}")
+            if not (np.isfinite(world2grid).all() and world2grid[0, 0] > 0):
+                raise ValueError("world2grid.txt is no grid's")
+            if self.centers.shape != (len(self.weight), 3):
+                raise ValueError("centres and weights in chunks.npz do not fit")
         except Exception as error:  # any damage: missing, truncated, wrong shape
             raise TFLabError(
-                f"{directory}: the ground truth is damaged ({error}); delete the scene and "
-                "prepare it again"
+                f"{directory}: the ground truth is damaged ({error}); {CURE}"
             ) from error
         voxel = 1 / world2grid[0, 0]
         origin = -(world2grid[:3, 3] + 0.5) * voxel

@@ -11,12 +11,13 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from tf_lab.data.capture import MAX_PIXELS
+from tf_lab.data.settings import MOST_SIDE
 from tf_lab.errors import TFLabError
+from tf_lab.geometry import check_focal
 
 MAX_SLOPE = 1.75  # x / z: pinhole images wider than 120 degrees are mostly stretched pixels
 MAX_ZOOM = 2.0  # how much a lens may change the field of view before it is taken for an error
-MAX_PIXELS = 100_000_000
-MAX_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
 
 
 @dataclass(frozen=True)
@@ -44,14 +45,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         width, height = self.size
-        possible = 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
+        possible = 0 < width <= MOST_SIDE and 0 < height <= MOST_SIDE
         if not possible or width * height > MAX_PIXELS:
             raise TFLabError(f"an image size of {width}x{height} is impossible")
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(values).all():
             raise TFLabError(f"the intrinsics {values} have NaN or infinity")
-        if self.fx <= 0 or self.fy <= 0:
-            raise TFLabError(f"fx = {self.fx:g}, fy = {self.fy:g} must be positive")
+        check_focal(self.fx, self.fy, self.cx, self.cy, self.size)
         allowed = (0, 4) if self.fisheye else (0, 4, 5, 8)
         if len(self.distortion) not in allowed:
             raise TFLabError(f"{len(self.distortion)} distortion coefficients; OpenCV has 4, 5, 8")
@@ -105,7 +105,7 @@ def camera_of(K: np.ndarray, size: tuple[int, int]) -> Camera:
         TFLabError: the matrix is not one, or its pixels are skewed.
     """
     shaped = np.isfinite(K).all() and np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
-    if not shaped or K[0, 0] <= 0 or K[1, 1] <= 0:
+    if not shaped or min(K[0, 0], K[1, 1]) <= 0:
         raise TFLabError("not a camera matrix (fx, fy must be positive)")
     if abs(K[0, 1]) > 1e-3 * K[0, 0]:
         raise TFLabError(f"the pixels are skewed ({K[0, 1]:g}); only rectangular ones are known")

@@ -11,21 +11,37 @@ Layout of a scene directory::
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image
 
 from tf_lab.data.capture import read_depth, read_image
+from tf_lab.data.lens import camera_of
 from tf_lab.errors import TFLabError
-from tf_lab.support.files import write_json
+from tf_lab.geometry import is_valid_pose
+from tf_lab.support.arrays import read_arrays
+from tf_lab.support.files import file_name, write_json
+from tf_lab.support.records import read_record
 
 FORMAT = 2
+CURE = "delete the scene and prepare it again"
+
+
+@dataclass(frozen=True)
+class Description:
+    """What ``scene.json`` holds."""
+
+    format: int
+    name: str
+    size: tuple[int, int]
+    provenance: dict[str, Any]
+    skipped: list[str]
 
 
 @dataclass(frozen=True)
@@ -64,11 +80,11 @@ def write_scene(
     names, Ks, poses, size = [], [], [], (0, 0)
     for frame in frames:
         size = (frame.image.shape[1], frame.image.shape[0])
-        Image.fromarray(frame.image).save(directory / "color" / f"{frame.name}.jpg", quality=95)
+        Image.fromarray(frame.image).save(_color(directory, frame.name), quality=95)
         if frame.depth is not None:
             (directory / "depth").mkdir(exist_ok=True)
             millimetres = np.round(frame.depth * 1000).clip(0, 65534).astype(np.uint16)
-            Image.fromarray(millimetres).save(directory / "depth" / f"{frame.name}.png")
+            Image.fromarray(millimetres).save(_depth(directory, frame.name))
         names.append(frame.name)
         Ks.append(frame.K)
         poses.append(frame.world_T_cam)
@@ -82,15 +98,17 @@ def write_scene(
         frames=np.asarray(names),
         source_T_world=np.eye(4) if source_T_world is None else source_T_world,
     )
-    meta = {
-        "format": FORMAT,
-        "name": name,
-        "size": size,
-        "provenance": provenance,
-        "skipped": list(skipped),
-    }
-    write_json(directory / "scene.json", meta)
+    meta = Description(FORMAT, name, size, provenance, list(skipped))
+    write_json(directory / "scene.json", asdict(meta))
     return Scene(directory)
+
+
+def _color(directory: Path, frame: str) -> Path:
+    return directory / "color" / f"{file_name(frame)}.jpg"
+
+
+def _depth(directory: Path, frame: str) -> Path:
+    return directory / "depth" / f"{file_name(frame)}.png"
 
 
 class Scene:
@@ -102,34 +120,37 @@ class Scene:
 
     def __init__(self, directory: Path | str) -> None:
         self.directory = Path(directory)
-        meta_file = self.directory / "scene.json"
         try:
-            meta = json.loads(meta_file.read_text())
-            self._check_format(meta["format"])
-            with np.load(self.directory / "cameras.npz") as cameras:
-                self.K = cameras["K"]
-                self.world_T_cam = cameras["world_T_cam"]
-                self.frames = [str(name) for name in cameras["frames"]]
-                self.source_T_world = cameras["source_T_world"]
-            self.name: str = meta["name"]
-            self.size: tuple[int, int] = (meta["size"][0], meta["size"][1])
-            self.provenance: dict[str, Any] = meta["provenance"]
-            self.skipped: list[str] = meta["skipped"]
-        except FileNotFoundError as error:
-            raise TFLabError(f"{error.filename}: missing; prepare the scene again") from error
-        except TFLabError:
-            raise
-        except Exception as error:  # any damage: json, zip, keys
+            meta = read_record(Description, self.directory / "scene.json", CURE)
+            if meta.format != FORMAT:
+                raise TFLabError(
+                    f"{self.directory}: scene format {meta.format}, expected {FORMAT}; {CURE}"
+                )
+            cameras = read_arrays(self.directory / "cameras.npz", CURE)
+            self.frames = [str(name) for name in cameras["frames"].tolist()]
+            self.K, self.world_T_cam = cameras["K"], cameras["world_T_cam"]
+            self.source_T_world = cameras["source_T_world"]
+            self.name, self.size = meta.name, meta.size
+            self.provenance, self.skipped = meta.provenance, meta.skipped
+            self._check_cameras()
+        except (KeyError, TypeError, ValueError) as error:
             raise TFLabError(
-                f"{self.directory}: the scene is damaged ({error}); delete it and prepare it again"
+                f"{self.directory / 'cameras.npz'}: damaged ({error}); {CURE}"
             ) from error
 
-    def _check_format(self, found: int) -> None:
-        if found != FORMAT:
-            raise TFLabError(
-                f"{self.directory}: scene format {found}, expected {FORMAT}; delete it and "
-                "prepare it again"
-            )
+    def _check_cameras(self) -> None:
+        """That there is a camera for each frame. Raises ValueError or TFLabError: there is not."""
+        count = len(self.frames)
+        for name, shape in (("K", (count, 3, 3)), ("world_T_cam", (count, 4, 4))):
+            found = getattr(self, name)
+            if found.shape != shape or found.dtype.kind != "f" or not count:
+                raise ValueError(f"{name} is {found.dtype} {list(found.shape)}, not {list(shape)}")
+        if self.source_T_world.shape != (4, 4) or not np.isfinite(self.source_T_world).all():
+            raise ValueError("source_T_world is no transform")
+        if not is_valid_pose(torch.from_numpy(self.world_T_cam)).all():
+            raise ValueError("a pose in world_T_cam is no rigid transform")
+        for K in np.unique(self.K, axis=0):
+            camera_of(K, self.size)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -137,11 +158,11 @@ class Scene:
     def image(self, index: int) -> np.ndarray:
         """uint8 [H, W, 3] RGB. Raises TFLabError, naming file and cure, if it can't be read."""
         with self._repairable():
-            return read_image(self._color_file(index))
+            return read_image(_color(self.directory, self.frames[index]))
 
     def jpeg(self, index: int) -> bytes:
         """The file of an image as it is stored. Raises TFLabError, as `image` does."""
-        path = self._color_file(index)
+        path = _color(self.directory, self.frames[index])
         try:
             return path.read_bytes()
         except OSError as error:
@@ -149,12 +170,9 @@ class Scene:
                 f"{path}: cannot be read ({error}); delete {self.directory} and prepare it again"
             ) from error
 
-    def _color_file(self, index: int) -> Path:
-        return self.directory / "color" / f"{self.frames[index]}.jpg"
-
     def depth(self, index: int) -> np.ndarray | None:
         """float32 [H, W] camera z in metres, 0 where unknown; None without depth."""
-        path = self.directory / "depth" / f"{self.frames[index]}.png"
+        path = _depth(self.directory, self.frames[index])
         with self._repairable():
             return read_depth(path) if path.exists() else None
 

@@ -6,33 +6,42 @@ from dataclasses import dataclass
 
 from tf_lab.support.settings import lists_to_tuples, setting
 
+MOST_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
+
 
 @dataclass(frozen=True)
 class ChunkSettings:
     """How chunks are drawn (paper, Sec. 3.5)."""
 
-    chunks: int = setting(4, "1.5 m pieces of scenes a step and device", shapes="weights")
+    chunks: int = setting(4, "1.5 m pieces of scenes a step and device", shapes="weights", least=1)
     images: int = setting(
-        8, "random images a chunk, the candidates of its voxels", shapes="weights"
+        8, "random images a chunk, the candidates of its voxels", shapes="weights", least=1
     )
     views: tuple[int, ...] = setting(
         (),
         "K_t, valid images kept a voxel, as at test time: one of these numbers a step; []: all "
         "images, valid or not (paper)",
         shapes="weights",
+        least=1,
     )
     rules: dict[str, float] = setting(
         {"random": 1.0},
         "by which policies they are kept: weights, one drawn a step",
         shapes="weights",
+        least=0,
     )
-    points: int = setting(1000, "occupancy samples a chunk", shapes="weights")
-    near_share: float = setting(0.8, "of them within 10 cm of the surface", shapes="weights")
+    points: int = setting(1000, "occupancy samples a chunk", shapes="weights", least=1)
+    near_share: float = setting(
+        0.8, "of them within 10 cm of the surface", shapes="weights", least=0, most=1
+    )
     coverage: float = setting(
-        0.3, "least share of a chunk that an image should see", shapes="weights"
+        0.3, "least share of a chunk that an image should see", shapes="weights", least=0, most=1
     )
     seen_by: int = setting(
-        8, "images that must; where there are no more, the best others fill up", shapes="weights"
+        8,
+        "images that must; where there are no more, the best others fill up",
+        shapes="weights",
+        least=0,
     )
     augment: bool = setting(
         True, "chunks turned about the vertical by random angles", shapes="weights"
@@ -46,19 +55,30 @@ class ChunkSettings:
 class PhotometricSettings:
     """How strong each effect on an image is at most; 0 (jpeg: 100) is none of it."""
 
-    exposure: float = setting(0.0, "stops (factors of two in linear light)", shapes="weights")
+    exposure: float = setting(
+        0.0, "stops (factors of two in linear light)", shapes="weights", least=0
+    )
     white_balance: float = setting(
-        0.0, "logarithm of the gains of red and blue (linear light)", shapes="weights"
+        0.0, "logarithm of the gains of red and blue (linear light)", shapes="weights", least=0
     )
     blur: float = setting(
-        0.0, "deviation of a Gaussian, pixels; in half of the images", shapes="weights"
+        0.0, "deviation of a Gaussian, pixels; in half of the images", shapes="weights", least=0
     )
     motion: float = setting(
-        0.0, "length of a motion blur, pixels; in a quarter of the images", shapes="weights"
+        0.0,
+        "length of a motion blur, pixels; in a quarter of the images",
+        shapes="weights",
+        least=0,
     )
     noise: float = setting(
-        0.0, "deviation of the sensor's noise, of a range of 0..1", shapes="weights"
+        0.0, "deviation of the sensor's noise, of a range of 0..1", shapes="weights", least=0
     )
-    gamma: float = setting(0.0, "logarithm of the exponent of the stored values", shapes="weights")
-    contrast: float = setting(0.0, "logarithm of the gain about the image's mean", shapes="weights")
-    jpeg: int = setting(100, "lowest quality; in half of the images", shapes="weights")
+    gamma: float = setting(
+        0.0, "logarithm of the exponent of the stored values", shapes="weights", least=0
+    )
+    contrast: float = setting(
+        0.0, "logarithm of the gain about the image's mean", shapes="weights", least=0
+    )
+    jpeg: int = setting(
+        100, "lowest quality; in half of the images", shapes="weights", least=1, most=100
+    )

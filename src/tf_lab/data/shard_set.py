@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,9 @@ import webdataset
 
 from tf_lab.data.shards import FORMAT, INDEX
 from tf_lab.errors import TFLabError
+from tf_lab.support.documents import parse_json
+from tf_lab.support.records import record
+from tf_lab.support.text import MAX_TEXT
 
 _NAME = re.compile(r"chunks-\d{6,}\.tar")
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
@@ -28,6 +30,29 @@ class Shard:
     records: int
     bytes: int
     sha256: str
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """What an index says of a shard."""
+
+    name: str
+    records: int
+    bytes: int
+    sha256: str
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name) or self.records < 1:
+            raise ValueError(f"a shard {self.name} of {self.records} chunks")
+
+
+@dataclass(frozen=True)
+class Index:
+    """What ``shards.json`` holds."""
+
+    format: int
+    shards: list[IndexEntry]
+    settings: dict[str, bool | int | float]
 
 
 @dataclass(frozen=True)
@@ -116,27 +141,20 @@ def _expand(urls: Sequence[str]) -> Iterator[str]:
 
 def _open(url: str, names: Sequence[str]) -> ShardSet:
     """The shards of an index; of some names, or all."""
-    index = _read(url)
+    head, _, tail = url.rpartition(INDEX)
     try:
-        if index["format"] != FORMAT:
+        index = record(Index, _read(url))
+        if index.format != FORMAT:
             raise TFLabError(
-                f"{url}: shards of format {index['format']}, expected {FORMAT}; write them again"
+                f"{url}: shards of format {index.format}, expected {FORMAT}; write them again"
             )
-        head, _, tail = url.rpartition(INDEX)
-        known = {}
-        for entry in index["shards"]:
-            name, records = str(entry["name"]), int(entry["records"])
-            if not _NAME.fullmatch(name) or records < 1:
-                raise ValueError(f"a shard {name} of {records} chunks")
-            shard = Shard(head + name + tail, records, int(entry["bytes"]), str(entry["sha256"]))
-            known[name] = shard
-        settings = dict(index["settings"])
-        if not all(isinstance(value, int | float) for value in settings.values()):
-            raise ValueError(f"settings {settings}")
-    except TFLabError:
-        raise
-    except Exception as error:  # any damage
-        raise TFLabError(f"{url}: damaged ({error!r}); write the shards again") from error
+        known = {
+            entry.name: Shard(head + entry.name + tail, entry.records, entry.bytes, entry.sha256)
+            for entry in index.shards
+        }
+    except ValueError as error:
+        raise TFLabError(f"{url}: damaged ({error}); write the shards again") from error
+    settings = index.settings
     for name in names:
         if name not in known:
             raise TFLabError(f"{head + name + tail}: not in {INDEX}, which knows {len(known)}")
@@ -149,7 +167,7 @@ def _open(url: str, names: Sequence[str]) -> ShardSet:
 def _read(url: str) -> Any:
     try:
         with webdataset.gopen(url) as stream:
-            return json.loads(stream.read())
+            return parse_json(stream.read(MAX_TEXT))
     except Exception as error:  # whatever opens it, and whatever is in it
         raise TFLabError(
             f"{url}: the index of the shards cannot be read ({error}); either the place is wrong, "

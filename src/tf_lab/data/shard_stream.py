@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
+import tarfile
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from itertools import islice
 from typing import Any
 
 import numpy as np
+import webdataset
 from torch.utils.data import IterableDataset, get_worker_info
-from webdataset import tarfile_samples
+from webdataset.tariterators import group_by_keys
 
 from tf_lab.data.chunks import ChunkBatch, ChunkRecord, make_batch
 from tf_lab.data.settings import ChunkSettings
@@ -173,7 +175,7 @@ def _read(shard: Shard, wanted: frozenset[int]) -> dict[int, Any]:
     """The samples at some places of a shard."""
     found: dict[int, Any] = {}
     try:
-        with closing(tarfile_samples([{"url": shard.url}])) as samples:
+        with closing(group_by_keys(_members(shard))) as samples:
             for position, sample in enumerate(samples):
                 if position in wanted:
                     found[position] = sample
@@ -187,3 +189,18 @@ def _read(shard: Shard, wanted: frozenset[int]) -> dict[int, Any]:
     raise TFLabError(
         f"{shard.url}: the shard ends before its {shard.records} chunks; copy or write it again"
     )
+
+
+def _members(shard: Shard) -> Iterator[dict[str, Any]]:
+    """The files in a shard as webdataset groups them; what a shard has no need of is refused."""
+    with (
+        webdataset.gopen(shard.url) as stream,
+        tarfile.open(fileobj=stream, mode="r|") as tar,  # not compressed, which has no bounds
+    ):
+        for member in tar:
+            if not member.isreg() or member.issparse() or member.size > shard.bytes:
+                raise ValueError(f"{member.name[:60]!r} in it is no file of its size")
+            file = tar.extractfile(member)
+            assert file is not None  # it is regular
+            yield {"fname": member.name, "data": file.read(), "__url__": shard.url}
+            tar.members = []  # type: ignore[attr-defined]  # else they are all kept

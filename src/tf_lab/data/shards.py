@@ -15,7 +15,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,11 @@ from safetensors.torch import load, save
 from webdataset import TarWriter
 
 from tf_lab.data.chunk_sampler import ChunkSampler
-from tf_lab.data.chunks import ChunkRecord
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkRecord
 from tf_lab.errors import TFLabError
+from tf_lab.support.documents import parse_json, read_json
 from tf_lab.support.files import atomic_path, remove_abandoned, write_json
+from tf_lab.support.records import record
 from tf_lab.support.tasks import run_tasks
 
 FORMAT = 1
@@ -37,17 +39,23 @@ CHOSEN_BY_STEP = ("chunks", "views", "rules")  # settings of training that shape
 TENSORS = ("K", "world_T_cam", "coarse_target", "fine_target", "points", "sdf")
 
 
-def encode(record: ChunkRecord) -> dict[str, bytes]:
+@dataclass(frozen=True)
+class Description:
+    """What a chunk's JSON holds."""
+
+    scene: str
+    frames: list[str]
+    size: tuple[int, int]
+    crc32: int
+
+
+def encode(chunk: ChunkRecord) -> dict[str, bytes]:
     """A record as the members of a shard, by their suffix."""
-    members = {"safetensors": save({k: getattr(record, k).contiguous() for k in TENSORS})}
-    members |= {f"{i:02d}.jpg": image for i, image in enumerate(record.images)}
-    meta = {
-        "scene": Path(record.scene).name,
-        "frames": list(record.frames),
-        "size": list(record.size),
-        "crc32": _checksum(members),
-    }
-    return {**members, "json": json.dumps(meta).encode()}
+    members = {"safetensors": save({k: getattr(chunk, k).contiguous() for k in TENSORS})}
+    members |= {f"{i:02d}.jpg": image for i, image in enumerate(chunk.images)}
+    name, frames = Path(chunk.scene).name, list(chunk.frames)
+    meta = Description(name, frames, chunk.size, _checksum(members))
+    return {**members, "json": json.dumps(asdict(meta)).encode()}
 
 
 def decode(sample: Mapping[str, Any]) -> ChunkRecord:
@@ -58,16 +66,24 @@ def decode(sample: Mapping[str, Any]) -> ChunkRecord:
     """
     members = {k: v for k, v in sample.items() if not k.startswith("__") and k != "json"}
     try:
-        meta = json.loads(sample["json"])
-        if _checksum(members) != meta["crc32"]:
+        meta = record(Description, parse_json(sample["json"]))
+        if _checksum(members) != meta.crc32:
             raise ValueError("its checksum is wrong")
-        return ChunkRecord(
-            scene=meta["scene"],
-            frames=meta["frames"],
-            size=tuple(meta["size"]),
-            images=[members[f"{i:02d}.jpg"] for i in range(len(meta["frames"]))],
+        count = len(meta.frames)
+        chunk = ChunkRecord(
+            scene=meta.scene,
+            frames=meta.frames,
+            size=meta.size,
+            images=[members[f"{i:02d}.jpg"] for i in range(count)],
             **load(members["safetensors"]),
         )
+        shapes: list[tuple[int, ...]]
+        shapes = [(count, 3, 3), (count, 4, 4), COARSE_GRID.shape, FINE_GRID.shape]
+        shapes += [(len(chunk.sdf), 3), (len(chunk.sdf),)]
+        for name, shape in zip(TENSORS, shapes, strict=True):
+            if getattr(chunk, name).shape != shape:
+                raise ValueError(f"{name} has shape {list(getattr(chunk, name).shape)}")
+        return chunk
     except Exception as error:  # any damage: missing members, no JSON, other keys
         raise ValueError(f"{type(error).__name__}: {error}") from error
 
@@ -175,11 +191,9 @@ def _claim(directory: Path, plan: Mapping[str, Any]) -> None:
         if shards:
             raise TFLabError(f"{directory}: has shards of unknown origin; choose another directory")
         write_json(path, plan)
-    try:
-        found = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise TFLabError(f"{path}: damaged ({error}); delete {directory}") from error
+    found = read_json(path, f"delete {directory}")
     if found != plan:
+        found = found if isinstance(found, dict) else {}
         other = next(k for k in {**plan, **found} if plan.get(k) != found.get(k))
         raise TFLabError(
             f"{directory}: is for other chunks ({other}: {str(found.get(other))[:60]}); choose "
@@ -197,11 +211,11 @@ def _write_shard(path: Path, sampler: ChunkSampler, seed: int, indices: range) -
         TarWriter(file, encoder=False, mtime=0, user="", group="", mode=0o644) as tar,
     ):
         for index in indices:
-            record = sampler.record(seed, index)
-            width, height = record.size  # a damaged image is told now, not in training
-            count = len(record.images)
-            record.decode(range(count), np.empty((count, 3, height, width), np.uint8))
-            tar.write({"__key__": f"{index:08d}", **encode(record)})
+            chunk = sampler.record(seed, index)
+            width, height = chunk.size  # a damaged image is told now, not in training
+            count = len(chunk.images)
+            chunk.decode(range(count), np.empty((count, 3, height, width), np.uint8))
+            tar.write({"__key__": f"{index:08d}", **encode(chunk)})
 
 
 def _entry(path: Path, records: int) -> dict[str, Any]:

@@ -22,8 +22,11 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.metrics import THRESHOLD, Comparison, visibility
 from tf_lab.evaluation.scores import Scores, mean_scores, score
 from tf_lab.meshes.files import read_mesh
+from tf_lab.support.arrays import read_array
+from tf_lab.support.text import read_numbers
 
 PROTOCOL = "transformerfusion"
+LAYOUT = "the published layout needs it"
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
 CLEAR = 2.5  # a factor between the sizes of prediction and ground truth that nobody means
 UNITS = {1000: "millimetres", 100: "centimetres", 39.37: "inches", 3.28: "feet"}  # in a metre
@@ -52,33 +55,28 @@ def read_groundtruth(directory: Path) -> GroundTruth:
     mesh = read_mesh(directory / "mesh_gt.ply")
     if len(mesh.vertices) == 0:
         raise TFLabError(f"{directory / 'mesh_gt.ply'}: has no vertex; prepare the scene again")
-    mask = _read_array(directory / "occlusion_mask.npy", np.load)
-    if mask.ndim != 3 or 0 in mask.shape:
+    path = directory / "occlusion_mask.npy"
+    mask = np.array(read_array(path, LAYOUT))
+    if mask.ndim != 3 or 0 in mask.shape or mask.dtype.kind not in "biuf":
         raise TFLabError(
-            f"{directory / 'occlusion_mask.npy'}: shape {mask.shape}, expected three dimensions"
+            f"{path}: {mask.dtype} of shape {mask.shape}, expected numbers in three dimensions"
         )
-    matrix = _read_array(directory / "world2grid.txt", np.loadtxt)
-    if matrix.shape != (4, 4):
-        raise TFLabError(f"{directory / 'world2grid.txt'}: shape {matrix.shape}, expected (4, 4)")
-    if not np.allclose(matrix[3], (0, 0, 0, 1)) or abs(np.linalg.det(matrix)) < 1e-12:
-        raise TFLabError(
-            f"{directory / 'world2grid.txt'}: not an invertible matrix with last row 0 0 0 1"
-        )
-    return GroundTruth(mesh, mask, matrix)
-
-
-def _read_array(path: Path, reader: Callable[[Path], np.ndarray]) -> np.ndarray:
-    try:
-        array = np.asarray(reader(path))
-        if array.dtype.kind not in "biuf":
-            raise ValueError(f"it holds {array.dtype}, not numbers")
-    except FileNotFoundError as error:
-        raise TFLabError(f"{path}: missing; the published layout needs it") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise TFLabError(f"{path}: cannot be read as an array ({error})") from error
-    if not np.isfinite(array).all():
+    if not np.isfinite(mask).all():
         raise TFLabError(f"{path}: holds NaN or infinity")
-    return array
+    return GroundTruth(mesh, mask, _read_world2grid(directory / "world2grid.txt"))
+
+
+def _read_world2grid(path: Path) -> np.ndarray:
+    """A transform [4, 4]. Raises TFLabError: it is none."""
+    numbers = read_numbers(path, LAYOUT)
+    if len(numbers) != 16:
+        raise TFLabError(f"{path}: {len(numbers)} numbers, expected 4x4")
+    matrix = np.array(numbers).reshape(4, 4)
+    if not np.isfinite(matrix).all():
+        raise TFLabError(f"{path}: holds NaN or infinity")
+    if not np.allclose(matrix[3], (0, 0, 0, 1)) or abs(np.linalg.det(matrix)) < 1e-12:
+        raise TFLabError(f"{path}: not an invertible matrix with last row 0 0 0 1")
+    return matrix
 
 
 def evaluate_scene(

@@ -19,7 +19,7 @@ from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.online.captures import Reconstruction, median_views
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
-from tf_lab.support.files import atomic_path, write_json
+from tf_lab.support.files import atomic_path, file_name, write_json
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,10 @@ def save_scene(
         seconds: that it took.
         run: the run's directory.
     """
-    with atomic_path(run / "meshes" / f"{scene.name}.ply") as temporary:
+    name = file_name(scene.name)
+    with atomic_path(run / "meshes" / f"{name}.ply") as temporary:
         write_mesh(result.mesh, temporary)
-    draw(result, scene, run / "pictures" / f"{scene.name}.png", scores["fscore"])
+    draw(result, scene, run / "pictures" / f"{name}.png", scores["fscore"])
     details = {
         "seconds": round(seconds, 2),
         "keyframes": len(result.keyframes),

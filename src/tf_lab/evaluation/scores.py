@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
-from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, metric_columns, with_paper
+from tf_lab.support.records import read_record
 from tf_lab.support.tables import NOTHING, aligned
 
 if TYPE_CHECKING:
@@ -40,19 +40,43 @@ def mean_scores(scenes: Iterable[Mapping[str, float]]) -> Scores:
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
-def read_metrics(run: Path) -> dict[str, Any] | None:
+class Details(TypedDict, total=False):
+    """How the scores of a scene came about, as far as somebody reads it."""
+
+    view_sets: Scores
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """What ``metrics.json`` of a run holds.
+
+    Attributes:
+        mean: of each metric over scenes.
+        scenes: scores by scene, at least one.
+        label: the row's name.
+        protocol: by which they were measured.
+        details: how they came about, by scene.
+    """
+
+    mean: Scores
+    scenes: dict[str, Scores]
+    label: str = "mean"
+    protocol: str | None = None
+    details: dict[str, Details] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.scenes or not self.mean:
+            raise ValueError("there is no scene, or no score, in it")
+
+
+def read_metrics(run: Path) -> Metrics | None:
     """The ``metrics.json`` of a finished run; None if it is not finished.
 
     Raises:
         TFLabError: the file is damaged.
     """
     path = run / "metrics.json"
-    if not path.exists():
-        return None
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise TFLabError(f"{path}: damaged ({error}); delete it to evaluate again") from error
+    return read_record(Metrics, path, "delete it to evaluate again") if path.exists() else None
 
 
 def format_table(rows: Sequence[tuple[str, Mapping[str, float]]], first: str = "Method") -> str:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.identity import row_label
-from tf_lab.experiments.reuse import Origin, origin_of
+from tf_lab.experiments.provenance import Origin
+from tf_lab.experiments.reuse import origin_of
 from tf_lab.support.locks import lock_holder
 
 TRAININGS, RUNS = "trainings", "runs"
@@ -90,9 +91,10 @@ def _run(directory: Path) -> Entry:
     origin: Origin = {}
     try:
         origin = origin_of(directory)
-        fscore = json.loads((directory / "metrics.json").read_text())["mean"].get("fscore")
-        state = "finished"
-    except (TFLabError, OSError, ValueError, KeyError, TypeError, AttributeError):
+        metrics = read_metrics(directory)
+        state = "finished" if metrics else "unfinished"
+        fscore = metrics.mean.get("fscore") if metrics else None
+    except TFLabError:
         state = "damaged" if (directory / "metrics.json").exists() else "unfinished"
     return Entry(directory, state, lock_holder(directory), config, origin, fscore)
 

@@ -165,7 +165,7 @@ def run_job(
         if status != 0 or run is None:
             record["failed"] = _reason(status)
     metrics = read_metrics(run) if run is not None else None
-    write_json(folder / RECORD, {**record, "fscore": metrics and metrics["mean"].get("fscore")})
+    write_json(folder / RECORD, {**record, "fscore": metrics and metrics.mean.get("fscore")})
 
 
 def _finished(jobs: SweepJobs, config: Any) -> Path | None:

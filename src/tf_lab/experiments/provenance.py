@@ -11,9 +11,24 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from tf_lab import __version__
+
+
+class Origin(TypedDict, total=False):
+    """Where a result comes from: what `provenance` says, and what trainings and runs add to it."""
+
+    commit: str
+    code: str
+    command: str
+    seconds: float | None
+    checkpoint: str
+    scenes: dict[str, str]
+    training: Origin
+    sessions: list[Origin]
+    sittings: list[Origin]  # as older versions called them
+
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # what weights and scores depend on
@@ -81,8 +96,8 @@ def without_places(value: Any, key: str = "") -> Any:
         return {k: without_places(v, k) for k, v in value.items()}
     if isinstance(value, list):
         return [without_places(item) for item in value]
-    if key == "checkpoint":
+    if key == "checkpoint" and isinstance(value, str):
         return "/".join(Path(value).parts[-3:])
-    if key == "command":
+    if key == "command" and isinstance(value, str):
         return re.sub(r"""\s\S+=["']?[/~]\S*""", "", value)
     return value

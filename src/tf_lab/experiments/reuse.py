@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import glob
-import json
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of, training_identity
-from tf_lab.experiments.provenance import code_version, commit
+from tf_lab.experiments.provenance import Origin, code_version, commit
 from tf_lab.support.headers import read_info
-
-Origin = Mapping[str, Any]
+from tf_lab.support.records import read_record, record
 
 
 def origin_of(directory: Path) -> Origin:
@@ -27,14 +24,13 @@ def origin_of(directory: Path) -> Origin:
         TFLabError: it is missing or damaged.
     """
     checkpoint, run = directory / "model.safetensors", directory / "run.json"
-    if checkpoint.exists():
-        return read_info(checkpoint).get("training", {})
+    cure = f"to make it anew: {removal(directory)}"
+    if not checkpoint.exists():
+        return read_record(Origin, run, cure)
     try:
-        return json.loads(run.read_text())
-    except (OSError, ValueError) as error:
-        raise TFLabError(
-            f"{run}: damaged ({error}); to make it anew: {removal(directory)}"
-        ) from error
+        return record(Origin, read_info(checkpoint).get("training", {}), "training")
+    except ValueError as error:
+        raise TFLabError(f"{checkpoint}: {error}; {cure}") from error
 
 
 def removal(directory: Path) -> str:
@@ -64,7 +60,7 @@ def sessions_of(training: Origin) -> list[Origin]:
     return training.get("sessions", training.get("sittings", []))  # as older versions called them
 
 
-def commits_of(origins: Iterable[Origin]) -> str:
+def commits_of(origins: Iterable[Mapping[str, object]]) -> str:
     """The commits of some provenances, as people write them."""
     parts = (str(origin.get("commit", "unknown")).partition("-") for origin in origins)
     return " and ".join(dict.fromkeys(name[:9] + dash + dirty for name, dash, dirty in parts))

@@ -1,4 +1,7 @@
 from .cameras import (
+    check_focal as check_focal,
+)
+from .cameras import (
     grid_sample as grid_sample,
 )
 from .cameras import (

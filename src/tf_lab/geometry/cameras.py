@@ -6,7 +6,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from tf_lab.errors import TFLabError
 from tf_lab.geometry.poses import linear_map, transform
+
+MIN_FOCAL = 0.05  # of the image's side: a field of view of 168 degrees
 
 
 def project(points: Tensor, K: Tensor, cam_T_world: Tensor) -> tuple[Tensor, Tensor]:
@@ -26,6 +29,28 @@ def project(points: Tensor, K: Tensor, cam_T_world: Tensor) -> tuple[Tensor, Ten
     pixels = linear_map(K, camera)
     safe = torch.where(depth.abs() < 1e-6, torch.full_like(depth, 1e-6), depth)
     return pixels[..., :2] / safe[..., None], depth
+
+
+def check_focal(fx: float, fy: float, cx: float, cy: float, size: tuple[int, int]) -> None:
+    """That intrinsics in pixels may be those of images of (width, height) ``size``.
+
+    Raises:
+        TFLabError: a focal length is not positive, or so short that the image would show more than
+            168 degrees, as it is where the intrinsics are in other units than pixels.
+    """
+    if not (fx > 0 and fy > 0):
+        raise TFLabError(f"fx = {fx:g}, fy = {fy:g} must be positive")
+    if fx >= MIN_FOCAL * size[0] and fy >= MIN_FOCAL * size[1]:
+        return
+    normalised = max(fx, fy) < 10 and 0 < cx < 1 and 0 < cy < 1
+    cure = (
+        "they are in units of the image: multiply fx, cx by its width and fy, cy by its height"
+        if normalised
+        else "give them in pixels of these images"
+    )
+    raise TFLabError(
+        f"fx = {fx:g}, fy = {fy:g} are too short for images of {size[0]}x{size[1]} pixels; {cure}"
+    )
 
 
 def in_view(uv: Tensor, depth: Tensor, size: tuple[int, int], near: float, far: float) -> Tensor:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import textwrap
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
+from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
 from tf_lab.support.headers import read_header
+from tf_lab.support.records import record
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 
@@ -41,15 +45,34 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
             f"{path}: no network configuration inside; it is not a checkpoint of tf_lab"
         )
     try:
-        network = Network(NetworkConfig(**json.loads(metadata["config"])))
+        network = Network(_config_for(path, metadata["config"]))
         network.load_state_dict(load_file(path))
-        info = json.loads(metadata.get("info", "{}"))
+        info = record(dict[str, Any], parse_json(metadata.get("info", "{}")))
     except (TFLabError, TypeError, KeyError, ValueError, RuntimeError) as error:
         reason = textwrap.shorten(str(error), 160)
         raise TFLabError(
             f"{path}: made by another version or another network ({reason}); train it again"
         ) from error
     return network.eval(), info
+
+
+def _config_for(path: Path, text: str) -> NetworkConfig:
+    """The configuration of a checkpoint, whose tensors are of its sizes; nothing large is made.
+
+    Raises:
+        ValueError, TFLabError: it is none, or the tensors are others.
+    """
+    found = record(dict[str, Any], parse_json(text))
+    if unknown := sorted(found.keys() - {field.name for field in fields(NetworkConfig)}):
+        raise ValueError(f"{unknown[0]} is no setting of a network")
+    config = record(NetworkConfig, found)
+    with torch.device("meta"):
+        wanted = {name: [*tensor.shape] for name, tensor in Network(config).state_dict().items()}
+    with safe_open(path, framework="pt") as file:
+        there = {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
+    if misfit := next((n for n in {**wanted, **there} if wanted.get(n) != there.get(n)), None):
+        raise ValueError(f"{misfit} is {there.get(misfit)}, not {wanted.get(misfit)}")
+    return config
 
 
 def shipped_checkpoint(name: str = "tiny") -> Path:

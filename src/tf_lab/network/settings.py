@@ -6,18 +6,40 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
+from tf_lab.support.settings import check_given, check_ranges, setting
 
 
-@dataclass(frozen=True)
-class NetworkConfig:
+@dataclass(frozen=True, kw_only=True)
+class NetworkSizes:
+    """The sizes that all networks have (paper, Sec. 3)."""
+
+    width: int = setting(
+        about="D, of tokens, fused and refined features", shapes="weights", least=1, most=8192
+    )
+    blocks: int = setting(about="transformer blocks a level", shapes="weights", least=1, most=256)
+    heads: int = setting(about="of attention", shapes="weights", least=1, most=8192)
+    expansion: float = setting(
+        about="width of the feed-forward modules over D", shapes="weights", above=0, most=64
+    )
+    hidden: int = setting(
+        about="width of the occupancy perceptron", shapes="weights", least=1, most=65536
+    )
+    refine_blocks: int = setting(
+        about="residual 3D-conv blocks a level", shapes="weights", least=0, most=256
+    )
+    near: float = setting(
+        0.3, "metres; a view measures points from this depth", shapes="weights", least=0
+    )
+    far: float = setting(5.0, "metres; to this depth", shapes="weights", above=0, most=50)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig(NetworkSizes):
     """Everything that shapes the weights' names and sizes, and nothing else.
 
     Attributes:
-        width: D, the width of tokens, fused and refined features.
-        blocks, heads, expansion: of each fusion module.
-        hidden: width of the occupancy perceptron.
-        refine_blocks: residual blocks a level.
         encoder: arguments of `make_encoder`.
         fusion: the settings of a strategy by name, ``strategy`` among them. Old checkpoints have
             its name alone.
@@ -25,18 +47,12 @@ class NetworkConfig:
         matching: whether kept tokens get evidence that the views agree; see `Agreement`.
         refine: whether 3D CNNs refine the features.
         filter: whether near-surface masks are trained and used.
-        near, far: valid depth range, metres.
 
     Raises:
-        TFLabError: there is no such strategy, or the width is no multiple of the heads.
+        TFLabError: there is no such strategy, a size is out of its range, or the width is no
+            multiple of the heads.
     """
 
-    width: int
-    blocks: int
-    heads: int
-    expansion: float
-    hidden: int
-    refine_blocks: int
     encoder: dict[str, Any] = field(default_factory=dict)
     fusion: dict[str, Any] | str = "transformer"
     depth: bool = True
@@ -44,10 +60,11 @@ class NetworkConfig:
     matching: bool = False
     refine: bool = True
     filter: bool = True
-    near: float = 0.3
-    far: float = 5.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fusion", asdict(FUSIONS.settings(self.fusion)))
+        check_ranges(self, "model.")
+        kind = ENCODERS[self.encoder.get("name", "resnet")].settings
+        check_given(kind, self.encoder, "encoder.")
         if self.width % self.heads:
             raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")

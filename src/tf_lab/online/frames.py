@@ -14,10 +14,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from tf_lab.errors import TFLabError
 from tf_lab.geometry import (
+    check_focal,
     frustum_corners,
     frustum_planes,
     invert_pose,
+    is_valid_pose,
 )
 from tf_lab.network.network import LEVELS, Network
 from tf_lab.network.tokens import Measurements, measure
@@ -32,6 +35,19 @@ def upload(tensor: Tensor, device: torch.device) -> Tensor:
     if device.type != "cuda":
         return tensor.to(device)
     return tensor.pin_memory().to(device, non_blocking=True)
+
+
+def check_camera(K: Tensor, world_T_cam: Tensor, size: tuple[int, int]) -> None:
+    """That a frame of (width, height) ``size`` may have these K [3, 3] and pose [4, 4].
+
+    Raises:
+        TFLabError: it may not.
+    """
+    if world_T_cam.shape != (4, 4) or not is_valid_pose(world_T_cam):
+        raise TFLabError("a pose that is no rigid transform: the camera is lost")
+    if K.shape != (3, 3) or not K.isfinite().all():
+        raise TFLabError("intrinsics that are not 3x3 finite numbers")
+    check_focal(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), size)
 
 
 class Frames:
@@ -148,6 +164,8 @@ class Frames:
         """Bilinear samples [P, C] of the frames' maps at pixels [P, 2], as `sample_maps`."""
         if len(self._resident) == len(self):
             return self._gather(level, frames, uv)
+        if not self._pools:  # of a reconstruction that was loaded
+            self._load(0)
         pool = self._pools[level]["maps"]
         out = pool.new_empty(len(uv), pool.shape[-1])
         for group in self._groups(frames.unique().tolist()):

@@ -27,10 +27,10 @@ import trimesh
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import COARSE, FINE, is_valid_pose, linear_map
+from tf_lab.geometry import COARSE, FINE, linear_map
 from tf_lab.meshes.colors import color_vertices
 from tf_lab.network.network import Network
-from tf_lab.online.frames import Frames
+from tf_lab.online.frames import Frames, check_camera
 from tf_lab.online.lattice.blocks import voxels_in
 from tf_lab.online.lattice.level import Box, Level
 from tf_lab.online.pipeline import Pipeline
@@ -228,10 +228,7 @@ class Reconstructor:
             raise TFLabError(f"an image of shape {tuple(pixels.shape)} and {pixels.dtype}")
         if len(self.frames) and (pixels.shape[1], pixels.shape[0]) != self.frames.size:
             raise TFLabError(f"a frame of {pixels.shape[1]}x{pixels.shape[0]} among others")
-        if pose.shape != (4, 4) or not is_valid_pose(pose):
-            raise TFLabError("a pose that is no rigid transform: the camera is lost")
-        if k.shape != (3, 3) or not (k.isfinite().all() and k[0, 0] > 0 and k[1, 1] > 0):
-            raise TFLabError("intrinsics without a positive, finite focal length")
+        check_camera(k, pose, (pixels.shape[1], pixels.shape[0]))
         return pixels.permute(2, 0, 1).contiguous(), k, pose
 
     def _level(self, name: str, voxel: float) -> Level:

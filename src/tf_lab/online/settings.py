@@ -8,7 +8,12 @@ from typing import Any
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import FINE
 from tf_lab.online.views import POLICIES
+from tf_lab.support.memory import check_memory
+from tf_lab.support.settings import MOST_SEED, check_ranges, setting
 
+ROOM = 50_000  # voxels of a small one
+VIEW_BYTES = 12  # a view in a voxel, with 4 heads
+CELL_BYTES = 4
 PRECISIONS = ("float32", "float16", "bfloat16")
 
 
@@ -27,7 +32,19 @@ def cells_per_voxel(voxel: float, resolution: float) -> int:
 
 
 @dataclass(frozen=True)
-class ReconstructionSettings:
+class InferenceSettings:
+    """How a network reconstructs; nothing here, and in select and online, trains another one."""
+
+    views: int = setting(16, "K, measurements kept a voxel", shapes="scores", least=1)
+    resolution: float = setting(0.02, "metres, marching cubes", shapes="scores", above=0)
+    threshold: float = setting(0.5, "of the near-surface masks", shapes="scores", least=0, most=1)
+    keyframe_distance: float = setting(
+        0.1, "DeepVideoMVS' combined pose distance; 0: every frame", shapes="scores", least=0
+    )
+
+
+@dataclass(frozen=True)
+class ReconstructionSettings(InferenceSettings):
     """All that shapes a reconstruction, given a network.
 
     Attributes:
@@ -51,28 +68,27 @@ class ReconstructionSettings:
         TFLabError: a value that cannot be.
     """
 
-    views: int = 16
     select: Any = "attention"
-    seed: int = 0
-    keyframe_distance: float = 0.1
-    threshold: float = 0.5
-    resolution: float = 0.02
-    batch: int = 8192
+    seed: int = setting(0, least=0, most=MOST_SEED)
+    batch: int = setting(8192, least=1)
     precision: str = "float32"
     logits: str = "float16"
     maps: str = "float32"
     maps_device: str | None = None
-    maps_budget: int | None = None
+    maps_budget: int | None = setting(None, least=1)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "select", POLICIES.settings(self.select))
-        if self.views < 1:
-            raise TFLabError(f"views={self.views}: a voxel needs at least one view")
-        if self.batch < 1:
-            raise TFLabError(f"batch={self.batch}: at least one voxel is fused at a time")
-        cells_per_voxel(FINE, self.resolution)  # told now, not after the training
-        if self.maps_budget is not None and self.maps_budget <= 0:
-            raise TFLabError("maps_budget: must be more than 0, or null to keep all maps")
+        check_ranges(self)
+        cells = cells_per_voxel(FINE, self.resolution) ** 3  # told now, not after the training
+        check_memory(
+            f"views={self.views}: a room", ROOM * VIEW_BYTES * self.views, "give fewer views"
+        )
+        check_memory(
+            f"resolution={self.resolution:g}: the mesh of a room",
+            ROOM * CELL_BYTES * cells,
+            "give a coarser resolution",
+        )
         for name, others in (("precision", ["auto"]), ("logits", []), ("maps", ["auto"])):
             if getattr(self, name) not in (*PRECISIONS, *others):
                 choices = ", ".join([*PRECISIONS, *others])

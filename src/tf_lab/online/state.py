@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -15,21 +15,32 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
-from tf_lab.online.frames import Frames
+from tf_lab.online.frames import Frames, check_camera
+from tf_lab.online.lattice.blocks import HALF
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
+from tf_lab.support.records import record
 
 FORMAT = 2
 COLUMNS = ("frames", "logits", "seen")
+
+
+@dataclass(frozen=True)
+class Description:
+    """What the header of a saved reconstruction says."""
+
+    format: int
+    settings: ReconstructionSettings
+    network: str
 
 
 def write_state(
     path: Path, settings: ReconstructionSettings, frames: Frames, levels: Sequence[Level]
 ) -> None:
     """Write a reconstruction as safetensors, whole or not at all; the network is not part of it."""
-    network = fingerprint(frames.network)
-    metadata = {"format": FORMAT, "settings": asdict(settings), "network": network}
+    description = Description(FORMAT, settings, fingerprint(frames.network))
     tensors: dict[str, Tensor] = {}
     if len(frames):
         tensors["images"] = torch.stack(frames.images)
@@ -41,7 +52,7 @@ def write_state(
             tensors[f"{level.name}.{name}"] = level.store.table[name]
     state = {name: tensor.cpu().contiguous().clone() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
-        save_file(state, temporary, {"reconstruction": json.dumps(metadata)})
+        save_file(state, temporary, {"reconstruction": json.dumps(asdict(description))})
 
 
 def read_state(path: Path, network: Network) -> tuple[ReconstructionSettings, dict[str, Tensor]]:
@@ -54,15 +65,17 @@ def read_state(path: Path, network: Network) -> tuple[ReconstructionSettings, di
         raise TFLabError(f"{path}: no such reconstruction")
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = json.loads((file.metadata() or {})["reconstruction"])
-            if metadata["format"] != FORMAT:
+            saved = record(Description, parse_json((file.metadata() or {})["reconstruction"]))
+            if saved.format != FORMAT:
                 raise TFLabError(f"{path}: of another version of tf_lab; reconstruct again")
-            if metadata["network"] != fingerprint(network):
+            if saved.network != fingerprint(network):
                 raise TFLabError(
                     f"{path}: made with another network; load it with that one's checkpoint"
                 )
-            settings = ReconstructionSettings(**metadata["settings"])
-            return settings, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return saved.settings, {
+                name: file.get_tensor(name)
+                for name in file.keys()  # noqa: SIM118
+            }
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise TFLabError(f"{path}: not a saved reconstruction ({error})") from error
 
@@ -79,20 +92,31 @@ def restore(
         if "images" in tensors:
             cameras = tensors["images"], tensors["K"], tensors["world_T_cam"]
             for image, K, pose in zip(*cameras, strict=True):
-                frames.add(image, K, pose, encode=False)
+                if image.dtype != torch.uint8 or image.shape[0] != 3 or image.ndim != 3:
+                    raise ValueError(f"an image of {image.dtype} {list(image.shape)}")
+                check_camera(K, pose, (image.shape[2], image.shape[1]))
+                frames.add(image, K.float(), pose.float(), encode=False)
         for level in levels:
-            _restore(level, tensors)
-    except (KeyError, ValueError, RuntimeError) as error:
+            _restore(level, tensors, len(frames))
+    except (TFLabError, KeyError, ValueError, RuntimeError) as error:
         raise TFLabError(f"{path}: damaged ({error}); reconstruct again") from error
 
 
-def _restore(level: Level, tensors: Mapping[str, Tensor]) -> None:
+def _restore(level: Level, tensors: Mapping[str, Tensor], frames: int) -> None:
     """View sets by the numbers that blocks had; everything made of them is out of date."""
     coords = tensors[f"{level.name}.blocks"].to(level.device)
+    if coords.dtype != torch.int64 or coords.shape[1:] != (3,) or (coords.abs() >= HALF).any():
+        raise ValueError(f"{level.name}.blocks are no coordinates")
     level.allocate(coords)
     rows = level.blocks.rows_in(level.blocks.find(coords))  # blocks may be numbered otherwise now
     for name in COLUMNS:
-        level.store.table[name][rows] = tensors[f"{level.name}.{name}"].to(level.device)
+        column, values = level.store.table[name], tensors[f"{level.name}.{name}"]
+        if values.dtype != column.dtype or values.shape != (len(rows), *column.shape[1:]):
+            raise ValueError(f"{level.name}.{name} is {values.dtype} {list(values.shape)}")
+        column[rows] = values.to(level.device)
+    held = level.store.frames
+    if held.numel() and not (held.min() >= -1 and held.max() < frames):
+        raise ValueError(f"{level.name}.frames names a frame that is not there")
     level.store.dirty[:] = level.store.seen > 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from tf_lab.reporting.paper import OURS
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.studies import Study
 from tf_lab.support.figures import new_figure, write_figure
+from tf_lab.support.files import file_name
 from tf_lab.support.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -45,19 +47,25 @@ def scene_runs(study: Study, scene: str) -> dict[str, Run]:
 
 def mesh_path(run: Run, scene: str) -> Path:
     """Where a run keeps the mesh of a test scene."""
-    return run.directory / "meshes" / f"{scene}.ply"
+    return run.directory / "meshes" / f"{file_name(scene)}.ply"
 
 
-def draw_pictures(study: Study, folder: Path) -> int:
+def draw_pictures(study: Study, folder: Path, size: tuple[int, int] = (400, 300)) -> int:
     """Draw the test scenes of which there are meshes; of the others what is there stays."""
     shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
     if not shown:
         return 0
+    left_out = []
     with progress_bar() as bar:
         for scene, runs in bar.track(shown.items(), len(shown), description="drawing"):
-            truth = groundtruth_mesh(next(iter(runs.values())), scene)
-            draw_scene(runs, scene, truth, folder / f"{scene}.png")
-    return len(shown)
+            try:
+                truth = groundtruth_mesh(next(iter(runs.values())), scene)
+                draw_scene(runs, scene, truth, folder / f"{file_name(scene)}.png", size)
+            except TFLabError as error:
+                left_out.append(f"no picture of {scene}: {error}")
+    for line in left_out:
+        print(f"warning: {line}", file=sys.stderr)
+    return len(shown) - len(left_out)
 
 
 def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config, write_config
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.scores import Scores, mean_scores
+from tf_lab.evaluation.scores import Metrics, Scores, mean_scores
 from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
-from tf_lab.experiments.provenance import without_places
-from tf_lab.experiments.reuse import Origin, removal, sessions_of
+from tf_lab.experiments.provenance import Origin, without_places
+from tf_lab.experiments.reuse import removal, sessions_of
+from tf_lab.support.documents import read_json
 from tf_lab.support.files import write_json
+from tf_lab.support.records import read_record
 
 # What makes a run another row, or another repetition of one, of the same study; and which metrics
 # were measured beside the paper's, which makes no difference to those.
@@ -89,62 +87,33 @@ def read_run(directory: Path) -> Run:
         config = read_config(directory / "config.yaml")
     except TFLabError as error:
         raise TFLabError(f"{error}; {_anew(directory / 'config.yaml')}") from error
-    metrics = _read(directory / "metrics.json", json.loads)
-    origin = _read(directory / "run.json", json.loads)
+    cure = _anew(directory / "metrics.json")
+    metrics = read_record(Metrics, directory / "metrics.json", cure)
+    origin = read_record(Origin, directory / "run.json", cure)
     trained, evaluated = training_identity(config), evaluation_identity(config)
     settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
     settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
-    training = origin.get("training", {})
-    scenes = _scenes(metrics, directory / "metrics.json")
-    settings["test"]["protocol"] = metrics.get("protocol")
-    settings["test"]["scenes"] = sorted(scenes)
+    training = origin.get("training", Origin())
+    settings["test"]["protocol"] = metrics.protocol
+    settings["test"]["scenes"] = sorted(metrics.scenes)
     return Run(
         directory,
         row_label(config),
         config.seed,
         config,
         _flat(settings),
-        scenes,
+        metrics.scenes,
         (origin, training, *sessions_of(training)),
         (directory / "metrics.json").stat().st_mtime,
-        _view_sets(metrics, directory / "metrics.json"),
+        _view_sets(metrics),
     )
 
 
-def _read(path: Path, parse: Callable[[str], Any]) -> dict[str, Any]:
-    try:
-        found = parse(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, yaml.YAMLError) as error:
-        raise TFLabError(f"{path}: damaged ({type(error).__name__}); {_anew(path)}") from error
-    if not isinstance(found, dict):
-        raise TFLabError(f"{path}: damaged (not a mapping); {_anew(path)}")
-    return found
-
-
-def _scenes(metrics: Mapping[str, Any], path: Path) -> dict[str, Scores]:
-    try:
-        scenes = {
-            name: {key: float(value) for key, value in scores.items()}
-            for name, scores in metrics["scenes"].items()
-        }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise TFLabError(f"{path}: damaged (scenes: {error}); {_anew(path)}") from error
-    values = [value for scores in scenes.values() for value in scores.values()]
-    if not values or not all(map(math.isfinite, values)):
-        raise TFLabError(f"{path}: damaged (no scene, or a score is no number); {_anew(path)}")
-    return scenes
-
-
-def _view_sets(metrics: Mapping[str, Any], path: Path) -> dict[str, float]:
-    try:
-        found = [each["view_sets"] for each in metrics.get("details", {}).values()]
-        return mean_scores(found) if found else {}
-    except KeyError:
-        return {}
-    except (TypeError, AttributeError) as error:
-        raise TFLabError(f"{path}: damaged (view_sets: {error}); {_anew(path)}") from error
+def _view_sets(metrics: Metrics) -> dict[str, float]:
+    """The means over scenes; nothing where a scene does not say."""
+    found = [each.get("view_sets") or {} for each in metrics.details.values()]
+    alike = bool(found) and all(each.keys() == found[0].keys() for each in found)
+    return mean_scores(found) if alike else {}
 
 
 def _anew(path: Path) -> str:
@@ -173,5 +142,8 @@ def keep_run(run: Run, folder: Path) -> Path:
         return kept
     write_config(run.config, kept / "config.yaml", portable=True)
     for name in ("run.json", "metrics.json"):
-        write_json(kept / name, without_places(_read(run.directory / name, json.loads)))
+        write_json(
+            kept / name,
+            without_places(read_json(run.directory / name, _anew(run.directory / name))),
+        )
     return kept

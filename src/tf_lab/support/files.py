@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import multiprocessing
 import os
+import re
 import shutil
 import socket
 import tempfile
@@ -14,6 +16,23 @@ from pathlib import Path
 from typing import Any
 
 from tf_lab.errors import TFLabError
+
+MOST_NAME = 180  # bytes; file systems take 255, and suffixes come behind it
+_UNFIT = re.compile(r"[\x00-\x1f\x7f/\\]|^\.")
+
+
+def file_name(name: object) -> str:
+    """A name out of a file's content as the name of a file, which cannot leave its folder.
+
+    Ordinary names stay as they are. Of others, what no file name may hold becomes ``_``, and a hash
+    of the name follows, so that different names stay different.
+    """
+    text = str(name)
+    fit = _UNFIT.sub("_", text).encode(errors="replace")
+    if fit and fit.decode() == text and len(fit) <= MOST_NAME:
+        return text
+    digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:8]
+    return f"{fit[: MOST_NAME - 9].decode(errors='ignore')}_{digest}"
 
 
 def _prefix() -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.documents import parse_json
+from tf_lab.support.records import record
 
 
 def read_header(path: Path) -> dict[str, str]:
@@ -30,6 +31,9 @@ def read_info(path: Path) -> dict[str, Any]:
     """The provenance of a checkpoint, without its weights.
 
     Raises:
-        TFLabError: the file is not a checkpoint.
+        TFLabError: the file is not a checkpoint, or its provenance is damaged.
     """
-    return json.loads(read_header(path).get("info", "{}"))
+    try:
+        return record(dict[str, Any], parse_json(read_header(path).get("info", "{}")))
+    except ValueError as error:
+        raise TFLabError(f"{path}: its provenance is {error}; train it again") from error

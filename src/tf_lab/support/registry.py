@@ -20,6 +20,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Generic, TypeVar
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.settings import check_given
 
 ENTRY_POINTS = "tf_lab.parts"
 
@@ -117,14 +118,16 @@ class Registry(Generic[P]):
         """Settings of a part: as they are, of a name (all else by default), or of a mapping.
 
         Raises:
-            TFLabError: there is no such part, or it has no such settings.
+            TFLabError: there is no such part, or it has no such settings or values of them.
         """
         if isinstance(given, str):
             given = {self.key: given}
         if not isinstance(given, Mapping):
             return given
         try:
-            return self[given.get(self.key, "")].settings(**given)
+            kind = self[given.get(self.key, "")].settings
+            check_given(kind, given, f"{self.group}.")
+            return kind(**given)
         except TypeError as error:
             raise TFLabError(f"{self.group}={given[self.key]}: {error}") from error
 

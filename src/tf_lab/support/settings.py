@@ -7,21 +7,49 @@ A setting is declared once, where it is used::
         strategy: str = setting("gru", "of fusing the views of a voxel", shapes="weights")
         layers: int = setting(1, "recurrent layers", shapes="weights")
 
-Its type is checked, its text is what ``--help`` prints, and what it shapes decides which runs are
-the same (see `tf_lab.experiments.identity`).
+Its type and its range are checked, its text is what ``--help`` prints, and what it shapes decides
+which runs are the same (see `tf_lab.experiments.identity`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.records import record
 
 Shapes = Literal["weights", "scores", "nothing"]
 Kind = Literal["value", "path", "source"]
+MOST_SEED = 2**32 - 1  # of numpy's and of Lightning's
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Which numbers a setting may be: from ``least`` or above ``above`` up to ``most``, finite."""
+
+    least: float | None = None
+    above: float | None = None
+    most: float | None = None
+
+    def __contains__(self, number: float) -> bool:
+        return (
+            abs(number) <= sys.float_info.max  # false of NaN, and no error of a larger integer
+            and (self.least is None or number >= self.least)
+            and (self.above is None or number > self.above)
+            and (self.most is None or number <= self.most)
+        )
+
+    def __str__(self) -> str:
+        parts = [
+            *([] if self.least is None else [f"at least {self.least:.10g}"]),
+            *([] if self.above is None else [f"more than {self.above:.10g}"]),
+            *([] if self.most is None else [f"at most {self.most:.10g}"]),
+        ]
+        return " and ".join(parts) or "a finite number"
 
 
 def setting(
@@ -31,6 +59,9 @@ def setting(
     shapes: Shapes = "nothing",
     kind: Kind = "value",
     several: bool = False,
+    least: float | None = None,
+    above: float | None = None,
+    most: float | None = None,
 ) -> Any:
     """A documented field of a settings dataclass.
 
@@ -43,8 +74,12 @@ def setting(
         kind: "path": a place on this machine, in which ``~`` is expanded; "source": a place or a
             name, likewise. Whatever they look like, they are text.
         several: a list of texts may be given as well as one.
+        least: the smallest that its numbers, or those in it, may be; see `check_ranges`.
+        above: what they must be more than.
+        most: the largest that they may be.
     """
     metadata = {"about": about, "shapes": shapes, "kind": kind, "several": several}
+    metadata["range"] = Range(least, above, most)
     if default is MISSING:
         return dataclasses.field(metadata=metadata)
     if isinstance(default, list | dict) or dataclasses.is_dataclass(default):
@@ -81,16 +116,52 @@ def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasse
             yield f"{prefix}{field.name}", field
 
 
-def at_least(least: float, group: str, settings: Any, *names: str) -> None:
-    """That settings of a group are no less than a number; None is no number.
+def check_ranges(settings: Any, prefix: str = "") -> None:
+    """That the numbers of a settings dataclass, nested ones included, are in their ranges.
 
     Raises:
-        TFLabError: one is less.
+        TFLabError: one is not, or it is NaN or infinite; it is named with ``prefix`` in front.
     """
-    for name in names:
-        value = getattr(settings, name)
-        if value is not None and value < least:
-            raise TFLabError(f"{group}{name}={value}: must be at least {least:g}")
+    for field in dataclasses.fields(settings):
+        _check_field(field, getattr(settings, field.name), f"{prefix}{field.name}")
+
+
+def check_given(kind: type, given: Mapping[str, Any], prefix: str = "") -> None:
+    """That values from a file, meant for a settings dataclass, have its types and ranges.
+
+    Raises:
+        TFLabError: one has not; it is named with ``prefix`` in front.
+    """
+    hints = get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        if field.name in given:
+            name = f"{prefix}{field.name}"
+            try:
+                _check_field(field, record(hints[field.name], given[field.name], name), name)
+            except ValueError as error:
+                raise TFLabError(str(error)) from error
+
+
+def _check_field(field: dataclasses.Field[Any], value: Any, name: str) -> None:
+    allowed = field.metadata.get("range", Range())
+    if dataclasses.is_dataclass(value):
+        check_ranges(value, f"{name}.")
+    elif isinstance(value, dict) and all(map(dataclasses.is_dataclass, value.values())):
+        for key, part in value.items():
+            check_ranges(part, f"{name}.{key}.")
+    elif isinstance(value, list | tuple):
+        _check(allowed, name, value, value)
+    elif not isinstance(value, dict):
+        _check(allowed, name, value, [value])
+    elif allowed != Range():  # else a dictionary of anything
+        for key, item in value.items():
+            _check(allowed, f"{name}.{key}", item, [item])
+
+
+def _check(allowed: Range, name: str, value: Any, items: Iterable[Any]) -> None:
+    for item in items:
+        if isinstance(item, int | float) and not isinstance(item, bool) and item not in allowed:
+            raise TFLabError(f"{name}={value}: must be {allowed}")
 
 
 def lists_to_tuples(settings: Any) -> None:

@@ -7,25 +7,32 @@ saves with ``#`` lines, spreadsheets separate by commas.
 from __future__ import annotations
 
 import codecs
-import json
 import re
+import stat
 from pathlib import Path
-from typing import Any
 
 from tf_lab.errors import TFLabError
 
 MAX_TEXT = 64 * 2**20  # bytes; pose and camera files are far smaller
 
 
-def read_text(path: Path, cure: str) -> str:
+def read_text(path: Path, cure: str, most: int = MAX_TEXT) -> str:
     """A text file in UTF-8, or in UTF-16 with a byte order mark.
+
+    Args:
+        path: the file.
+        cure: what to do if it is none.
+        most: bytes that it may have.
 
     Raises:
         TFLabError: missing, not text or absurdly large; the message ends with the cure.
     """
     try:
-        if path.stat().st_size > MAX_TEXT:
+        found = path.stat()
+        if found.st_size > most:
             raise TFLabError(f"{path}: too large to be this file; {cure}")
+        if stat.S_ISFIFO(found.st_mode):  # it would wait for whoever writes into it
+            raise TFLabError(f"{path}: a pipe, not a file; {cure}")
         content = path.read_bytes()
         wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         return content.decode("utf-16" if wide else "utf-8-sig")
@@ -68,15 +75,3 @@ def parse_numbers(text: str) -> list[float]:
         ValueError: something else is in it.
     """
     return [float(word) for word in re.split(r"[\s,;\[\]]+", re.sub("#.*", "", text)) if word]
-
-
-def read_json(path: Path, cure: str) -> Any:
-    """What a json file holds.
-
-    Raises:
-        TFLabError: as `read_text`, or it is not json.
-    """
-    try:
-        return json.loads(read_text(path, cure))
-    except (ValueError, RecursionError) as error:
-        raise TFLabError(f"{path}: not json ({str(error)[:80]}); {cure}") from error

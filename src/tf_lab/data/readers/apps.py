@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
+from tf_lab.data.capture import open_image
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers.images import is_file
 from tf_lab.data.readers.source import DepthFile, Pixels
@@ -75,7 +75,7 @@ class ConfidentDepth:
         """Read it."""
         depth = DepthFile(self.depth, self.scale)()
         try:
-            with Image.open(self.confidence) as image:
+            with open_image(self.confidence) as image:
                 confidence = np.asarray(image)
         except Exception as error:  # damaged data makes Pillow raise nearly anything
             raise TFLabError(f"{self.confidence}: cannot be read as an image ({error})") from error

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tf_lab.errors import TFLabError
-from tf_lab.support.text import read_json
+from tf_lab.support.documents import read_json
 
 
 def read_document(path: Path, cure: str) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tf_lab.data.capture import decode_image, metres
-from tf_lab.data.lens import MAX_PIXELS
+from tf_lab.data.capture import MAX_PIXELS, decode_image, metres
 from tf_lab.errors import TFLabError
 
 VERSION = 4

@@ -22,6 +22,7 @@ from tf_lab.data.captures import (
 from tf_lab.data.sources.settings import CapturesData, Content, PreparedData
 from tf_lab.data.sources.source import DataSource, Prepared
 from tf_lab.errors import TFLabError
+from tf_lab.support.files import file_name
 
 log = logging.getLogger(__name__)
 SPLITS = ("train", "val", "test")
@@ -93,7 +94,7 @@ class PreparedSource(DataSource):
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
-        return self.folder / name / (digest or "unknown")
+        return self.folder / file_name(name) / file_name(digest or "unknown")
 
 
 class CaptureSource(PreparedSource):

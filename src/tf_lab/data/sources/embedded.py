@@ -16,6 +16,7 @@ from tf_lab.data.rooms import RoomSettings, generate_room
 from tf_lab.data.scene import Frame, write_scene
 from tf_lab.data.sources.settings import Content, EmbeddedData, FlatsData, RoomsData
 from tf_lab.data.sources.source import DataSource, Prepared
+from tf_lab.support.files import file_name
 from tf_lab.support.tasks import SceneJob, prepare_scenes
 
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
@@ -121,8 +122,8 @@ class EmbeddedSource(DataSource):
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
-        index = int(name.rpartition("_")[2]) - FIRST_SEED["test"]
-        return self.made.directory(self.root, "test", index, self._filming("test"))
+        known = self.made.directory(self.root, "test", 0, self._filming("test"))
+        return known.with_name(file_name(name))
 
     def _size(self, split: str) -> int:
         s = self.settings

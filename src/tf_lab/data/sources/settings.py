@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tf_lab.data.reading import AS_STATED, ReadSettings
-from tf_lab.support.settings import at_least, setting
+from tf_lab.data.settings import MOST_SIDE
+from tf_lab.support.settings import setting
 
 CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:HOME,.}/.cache/tf_lab}"
 
@@ -37,18 +38,14 @@ class EmbeddedData:
 
     name: str
     root: str = setting(CACHE, "the cache", kind="path")
-    size: int = setting(32, "training scenes; hundreds for a real study", shapes="weights")
-    val_size: int = setting(1, "val scenes, for the score while training")
-    test_size: int = setting(4, "test scenes", shapes="scores")
-    width: int = setting(160, "pixels", shapes="weights")
-    height: int = setting(120, "pixels", shapes="weights")
-    frames: int = setting(128, "of a training scene", shapes="weights")
-    test_frames: int = setting(260, "of a val or test scene", shapes="scores")
-    workers: int | None = setting(None, "rendering processes; null: one a core")
-
-    def __post_init__(self) -> None:
-        at_least(1, "data.", self, "width", "height", "frames", "test_frames", "workers")
-        at_least(0, "data.", self, "size", "val_size", "test_size")
+    size: int = setting(32, "training scenes; hundreds for a real study", shapes="weights", least=0)
+    val_size: int = setting(1, "val scenes, for the score while training", least=0)
+    test_size: int = setting(4, "test scenes", shapes="scores", least=0)
+    width: int = setting(160, "pixels", shapes="weights", least=1, most=MOST_SIDE)
+    height: int = setting(120, "pixels", shapes="weights", least=1, most=MOST_SIDE)
+    frames: int = setting(128, "of a training scene", shapes="weights", least=1)
+    test_frames: int = setting(260, "of a val or test scene", shapes="scores", least=1)
+    workers: int | None = setting(None, "rendering processes; null: one a core", least=1)
 
 
 @dataclass(frozen=True)
@@ -63,15 +60,15 @@ class FlatsData(EmbeddedData):
     """Synthetic flats of one to five rooms, rendered on first use into the cache."""
 
     name: str = setting("flats", "set it by data=", shapes="weights")
-    frames: int = setting(70, "of a training flat, for each of its rooms", shapes="weights")
-    test_frames: int = setting(230, "of a val or test flat, for each of its rooms", shapes="scores")
-    rooms: int = setting(
-        0, "single rooms to train on beside the flats, as of data=rooms", shapes="weights"
+    frames: int = setting(
+        70, "of a training flat, for each of its rooms", shapes="weights", least=1
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        at_least(0, "data.", self, "rooms")
+    test_frames: int = setting(
+        230, "of a val or test flat, for each of its rooms", shapes="scores", least=1
+    )
+    rooms: int = setting(
+        0, "single rooms to train on beside the flats, as of data=rooms", shapes="weights", least=0
+    )
 
 
 @dataclass(frozen=True)
@@ -95,16 +92,16 @@ class PreparedData:
     name: str
     root: str
     scenes: str = setting("${.root}/tf_lab", "where the prepared scenes go", kind="path")
-    width: int = setting(640, "pixels", shapes="weights")
-    height: int = setting(480, "pixels", shapes="weights")
+    width: int = setting(640, "pixels", shapes="weights", least=1, most=MOST_SIDE)
+    height: int = setting(480, "pixels", shapes="weights", least=1, most=MOST_SIDE)
     keyframe_distance: float = setting(
-        0.1, "pose distance between stored frames; 0: all", shapes="weights"
+        0.1, "pose distance between stored frames; 0: all", shapes="weights", least=0
     )
-    size: int | None = setting(None, "use so many of the training scenes; null: all")
-    val_size: int | None = setting(None, "the same of the val scenes")
-    test_size: int | None = setting(None, "the same of the test scenes")
-    workers: int | None = setting(None, "processes, one a scene; null: one a core")
-    memory: float = setting(1.0, "GiB a process may take for depth fusion")
+    size: int | None = setting(None, "use so many of the training scenes; null: all", least=0)
+    val_size: int | None = setting(None, "the same of the val scenes", least=0)
+    test_size: int | None = setting(None, "the same of the test scenes", least=0)
+    workers: int | None = setting(None, "processes, one a scene; null: one a core", least=1)
+    memory: float = setting(1.0, "GiB a process may take for depth fusion", above=0)
     urls: Any = setting(
         None, "shards to train on instead of the training scenes", kind="path", several=True
     )
@@ -147,4 +144,4 @@ class ScanNetData(PreparedData):
 
     name: str = setting("scannet", "set it by data=", shapes="weights")
     root: str = setting("data/scannet", "holds scans/ and scans_test/", kind="path")
-    val_size: int | None = setting(10, "of 312, for the score while training; null: all")
+    val_size: int | None = setting(10, "of 312, for the score while training; null: all", least=0)

@@ -21,11 +21,13 @@ class EncoderSettings:
         kind="source",
     )
     coarse_stride: int = setting(
-        about="image pixels a pixel of the coarse map; a stride that a stage has", shapes="weights"
+        about="image pixels a pixel of the coarse map; a stride that a stage has",
+        shapes="weights",
+        least=1,
     )
-    fine_stride: int = setting(about="of the fine map", shapes="weights")
-    coarse_channels: int = setting(about="of the coarse map", shapes="weights")
-    fine_channels: int = setting(about="of the fine map", shapes="weights")
+    fine_stride: int = setting(about="of the fine map", shapes="weights", least=1)
+    coarse_channels: int = setting(about="of the coarse map", shapes="weights", least=1, most=8192)
+    fine_channels: int = setting(about="of the fine map", shapes="weights", least=1, most=8192)
     unit_norm: bool = setting(about="features scaled to length sqrt(channels)", shapes="weights")
 
     def architecture(self) -> dict[str, Any]:
@@ -39,9 +41,11 @@ class ResNetSettings(EncoderSettings):
     """ResNet (He et al. 2016), as in the paper."""
 
     name: str = setting("resnet", "the kind of encoder", shapes="weights")
-    width: int = setting(64, "channels of the stem, doubled at every stage", shapes="weights")
-    blocks: list[int] = setting([2, 2, 2, 2], "a stage", shapes="weights")
-    stem_stride: int = setting(2, "of the first convolution", shapes="weights")
+    width: int = setting(
+        64, "channels of the stem, doubled at every stage", shapes="weights", least=1, most=1024
+    )
+    blocks: list[int] = setting([2, 2, 2, 2], "a stage", shapes="weights", least=1, most=100)
+    stem_stride: int = setting(2, "of the first convolution", shapes="weights", least=1, most=2)
     stem_pool: bool = setting(True, "max-pooling of stride 2 after it", shapes="weights")
     norm: str = setting(
         "batch",
@@ -60,7 +64,9 @@ class EfficientNetLite0Settings(EncoderSettings):
 
     name: str = setting("efficientnet_lite0", "the kind of encoder", shapes="weights")
     top_stride: int = setting(16, "where the trunk ends: 16 or 32", shapes="weights")
-    pyramid_channels: int = setting(64, "channels inside the pyramid", shapes="weights")
+    pyramid_channels: int = setting(
+        64, "channels inside the pyramid", shapes="weights", least=1, most=8192
+    )
 
     def __post_init__(self) -> None:
         if self.top_stride not in (16, 32):

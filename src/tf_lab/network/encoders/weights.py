@@ -10,6 +10,8 @@ from torch import Tensor
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import PYRAMID, Encoder
 
+MOST_SHARED = 16  # tensors may share what is stored
+
 
 def read_state_dict(path: Path) -> dict[str, Tensor]:
     """Tensors of a .safetensors file or of a weights-only torch file.
@@ -29,6 +31,9 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
         raise TFLabError(f"{path}: not a weights file ({type(error).__name__})") from error
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
         raise TFLabError(f"{path}: not a weights file (it holds no dictionary of tensors)")
+    size = sum(tensor.numel() * tensor.element_size() for tensor in state.values())
+    if size > MOST_SHARED * path.stat().st_size:  # views that repeat a number
+        raise TFLabError(f"{path}: not a weights file (its tensors are larger than it)")
     return state
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tf_lab.errors import TFLabError
 from tf_lab.support.settings import setting
 
 STRATEGY = "of fusing the views of a voxel"
@@ -29,11 +28,7 @@ class GRUSettings:
     """A recurrent network that reads the views in the order of time (ours)."""
 
     strategy: str = setting("gru", STRATEGY, shapes="weights")
-    layers: int = setting(2, "recurrent layers", shapes="weights")
-
-    def __post_init__(self) -> None:
-        if self.layers < 1:
-            raise TFLabError(f"fusion.layers={self.layers}: at least one")
+    layers: int = setting(2, "recurrent layers", shapes="weights", least=1, most=100)
 
 
 @dataclass(frozen=True)

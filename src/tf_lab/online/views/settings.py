@@ -28,7 +28,9 @@ class DiverseSettings:
     """A random sample that attention prefers, another at every voxel (ours)."""
 
     policy: str = setting("diverse", POLICY, shapes="scores")
-    attention: float = setting(0.3, "share of the attention logits; 0: none", shapes="scores")
+    attention: float = setting(
+        0.3, "share of the attention logits; 0: none", shapes="scores", least=0
+    )
     spread: float = setting(
-        0.0, "share of the log angle to the nearest other view; 0: none", shapes="scores"
+        0.0, "share of the log angle to the nearest other view; 0: none", shapes="scores", least=0
     )
