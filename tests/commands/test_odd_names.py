@@ -160,7 +160,7 @@ def test_going_on_is_said_by_commands_that_do(
     def interrupt(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tf_lab.cli.command.typed", interrupt)
+    monkeypatch.setattr("tf_lab.cli.run.typed", interrupt)
     result = call(command, *words)
     assert result.status == 130
     more = "; the same command goes on from here" if goes_on else ""

@@ -20,6 +20,7 @@ from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, remove_abandoned
 from tf_lab.support.locks import directory_lock
+from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
 from tf_lab.training.objects import arguments_of
 
@@ -94,7 +95,7 @@ def fit(
 
     Raises:
         TFLabError: wrong settings of the trainer, or a damaged checkpoint.
-        KeyboardInterrupt: it was interrupted; the next call goes on.
+        KeyboardInterrupt: a callback ended it; the next call goes on.
     """
     made = _trainer(directory, trainer, settings, loggers, callbacks)
     batches = data()
@@ -103,9 +104,10 @@ def fit(
     state = last if resumes else start()
     if state is not None:
         print(f"{'resuming' if resumes else 'going on from'} {state}")
-    made.fit(module, batches, ckpt_path=state, weights_only=True)
+    with as_parent(deaf=False):  # of the other processes of a distributed training
+        made.fit(module, batches, ckpt_path=state, weights_only=True)
     if made.global_step < settings.steps:
-        raise KeyboardInterrupt  # Lightning turns the signal into a silent end
+        raise KeyboardInterrupt  # a callback ended it
     made.save_checkpoint(last)  # to train on
     return made
 
