@@ -11,6 +11,7 @@ from typing import Any
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.finite import check_finite
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.support.files import atomic_path
@@ -31,7 +32,7 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
 
     Raises:
-        TFLabError: the file is missing, not a checkpoint, or of another network.
+        TFLabError: the file is missing, not a checkpoint, of another network, or not finite.
     """
     if not path.is_file():
         raise TFLabError(f"{path}: no such checkpoint; train one with `python -m tf_lab.train`")
@@ -49,6 +50,7 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
         raise TFLabError(
             f"{path}: made by another version or another network ({reason}); train it again"
         ) from error
+    check_finite(network.state_dict(), path)
     return network.eval(), info
 
 
