@@ -237,7 +237,7 @@ def disturb(
     counts.tries += 1
     killed = number == signal.SIGKILL
     check(status == (-number if killed else 128 + number), counts, "status", f"{status}: {errors}")
-    said = errors.strip().splitlines()
+    said = lines(errors)
     good = not said if killed else len(said) == 1 and said[0].startswith(("interr", "stopped"))
     check(good, counts, "lines", errors)
     while (left := alive(mark)) and time.monotonic() < sent + GONE:
@@ -247,6 +247,11 @@ def disturb(
         if path.is_file() and ".partial-" not in str(path):
             check(whole(path), counts, "half", str(path))
     return False
+
+
+def lines(errors: str) -> list[str]:
+    """What a command says on standard error, progress bars apart."""
+    return [line for line in errors.splitlines() if line.strip() and "━" not in line]
 
 
 def check(good: bool, counts: Counts, what: str, note: str) -> bool:
@@ -350,7 +355,7 @@ def full_disk(case: Case, folder: Path, levels: Sequence[float]) -> Counts:
         )
         counts.tries += 1
         check(done.returncode in (1, 2), counts, "status", f"{done.returncode}: {done.stderr}")
-        said = done.stderr.strip().splitlines()
+        said = lines(done.stderr)
         told = len(said) == 1 and "there is no space for it" in said[0] + done.stdout
         check(told, counts, "lines", done.stderr)
         for path in sorted(place.rglob("*")):

@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--tries", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path, default=Path("/tmp/tf_lab-reliability"))
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     cases, wrong = prepare_inputs(given.folder), 0
     name, _, group = given.what.partition("-")

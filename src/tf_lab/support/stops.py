@@ -6,6 +6,7 @@ locks are freed by the kernel, and children end with their parent however that e
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
@@ -13,6 +14,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from types import FrameType
+from typing import NoReturn
 
 PARENT = "TF_LAB_PARENT"  # the process that a child is to end with
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -62,10 +65,11 @@ def stoppable(keeps: str) -> Iterator[None]:
             for number, handler in before.items():
                 signal.signal(number, handler)
             os.close(stop.pipe)
-    if stop.number or interrupted:  # also where `Stopped` became something else, or was lost
-        ended = stop.number or int(signal.SIGINT)
-        stop.tell(ended)
-        sys.exit(128 + ended)
+    if stop.number:  # also where `Stopped` became something else, or was lost
+        stop.end(stop.number)
+    if interrupted:
+        stop.tell(signal.SIGINT)
+        sys.exit(128 + signal.SIGINT)
 
 
 class _Stop:
@@ -77,10 +81,18 @@ class _Stop:
         os.set_blocking(self.pipe, False)
         threading.Thread(target=self._watch, args=(end,), daemon=True).start()
 
-    def hear(self, number: int, frame: object) -> None:
+    def hear(self, number: int, frame: FrameType | None) -> None:
         if not self.number:
             self.number = number
+            if _imports(frame):  # nothing to tidy up yet; a library cut off there may crash
+                self.end(number)
             raise Stopped(signal.Signals(number).name)
+
+    def end(self, number: int) -> NoReturn:
+        """End without what the interpreter does at its end, at which the thread may crash it."""
+        self.tell(number)
+        atexit._run_exitfuncs()  # of loggers, of multiprocessing
+        os._exit(128 + number)
 
     def tell(self, number: int) -> None:
         """Print the line, once; of a distributed training, its first process does."""
@@ -101,6 +113,13 @@ class _Stop:
             time.sleep(GRACE)
             self.tell(byte[0])
             os._exit(128 + byte[0])
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether this is in the middle of an import."""
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 def _forked() -> None:
