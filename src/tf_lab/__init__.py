@@ -6,6 +6,8 @@ What a script or a notebook needs is here by name; it is imported when it is fir
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from tf_lab.support.stops import end_with_parent as _end_with_parent
+
 if TYPE_CHECKING:
     from tf_lab.config.compose import compose_config
     from tf_lab.data.readers import open_capture
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from tf_lab.network.checkpoint import load_network, shipped_checkpoint
     from tf_lab.online.reconstructor import Reconstructor
     from tf_lab.online.settings import ReconstructionSettings
+
+_end_with_parent()  # first of all, so that a child also ends with it while it imports the rest
 
 __version__ = "0.1.0"
 

@@ -10,7 +10,7 @@ main = command(
     __doc__,
     "tf_lab.commands.prepare:run",
     unused=("encoder", "optimizer"),
-    resumable=True,
+    keeps="what is finished is kept, the same command makes the rest",
 )
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ main = command(
         "trainer.compile",
         "trainer.others",
     ),
-    resumable=True,
+    keeps="the scenes and the last checkpoint are kept, the same command goes on from them",
 )
 
 if __name__ == "__main__":

@@ -28,11 +28,17 @@ from tf_lab.experiments.inventory import (
 )
 from tf_lab.experiments.reuse import commits_of, sessions_of
 from tf_lab.support.files import remove_directory
+from tf_lab.support.stops import stoppable
 from tf_lab.support.tables import NOTHING, aligned
 
 
 def main() -> None:
     """List, show or remove."""
+    with stoppable("what was removed is gone, all else is as it was"):
+        _main()
+
+
+def _main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tf_lab.runs",
         usage=__doc__.splitlines()[2],

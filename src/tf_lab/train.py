@@ -9,7 +9,7 @@ main = command(
     "train",
     __doc__,
     "tf_lab.commands.train:run",
-    resumable=True,
+    keeps="what is finished and the last checkpoint are kept, the same command goes on from them",
     jobs="tf_lab.commands.train:JOBS",
 )
 

@@ -160,8 +160,10 @@ def test_going_on_is_said_by_commands_that_do(
     def interrupt(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tf_lab.cli.command.typed", interrupt)
+    monkeypatch.setattr("tf_lab.cli.run.typed", interrupt)
     result = call(command, *words)
     assert result.status == 130
-    more = "; the same command goes on from here" if goes_on else ""
-    assert result.err == f"\ninterrupted{more}\n"
+    (line,) = result.err.splitlines()
+    assert line.startswith("interrupted: ")
+    assert ("is kept" in line or "are kept" in line) == goes_on
+    assert ("starts again" in line) != goes_on

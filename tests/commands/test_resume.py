@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import load_file
 
 from helpers.killed import kill_after_first_save
-from helpers.tiny_jobs import TINY, call, tiny_config
+from helpers.tiny_jobs import TINY, call, tiny_config, told
 from tf_lab.commands.train import train as train_network
 from tf_lab.experiments.identity import training_directory
 from tf_lab.training.fit import AtomicSaves
@@ -87,12 +87,23 @@ def test_what_a_kill_left_half_written_is_removed(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("outputs")
-def test_a_damaged_checkpoint_to_resume_from_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [
+        (None, "damaged"),
+        ([1, 2], "no state of a training, but a list"),
+        ({"state_dict": {}, "global_step": 3}, "no optimizer_states in it"),
+    ],
+)
+def test_a_last_checkpoint_that_is_none_is_named(
+    state: object, reason: str, tmp_path: Path
+) -> None:
     directory = training_directory(tiny_config(f"output={tmp_path}"))
     directory.mkdir(parents=True)
-    (directory / "last.ckpt").write_bytes(b"damaged")
+    last = directory / "last.ckpt"
+    if state is None:
+        last.write_bytes(b"damaged")
+    else:
+        torch.save(state, last)
     result = call("train", *TINY, f"output={tmp_path}")
-    assert result.status == 2
-    (line,) = result.err.splitlines()
-    assert line.startswith(f"error: {directory / 'last.ckpt'}: ")
-    assert "delete it" in line
+    told(result, f"error: {last}: ", reason, "delete it to start this training again")

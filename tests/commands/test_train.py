@@ -274,4 +274,7 @@ def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outp
     monkeypatch.setattr("tf_lab.commands.train.train", interrupt)
     result = call("train", f"output={outputs}")
     assert result.status == 130
-    assert result.err.strip() == "interrupted; the same command goes on from here"
+    assert result.err == (
+        "interrupted: what is finished and the last checkpoint are kept, the same command goes on "
+        "from them\n"
+    )

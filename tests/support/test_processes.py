@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tf_lab.support import processes
-from tf_lab.support.processes import PARENT, Children
+from tf_lab.support.processes import Children
 
 
 def python(code: str, *arguments: object) -> list[str]:
@@ -39,12 +38,13 @@ def test_how_it_ended(code: str, status: int, tmp_path: Path) -> None:
     assert Children().run(python(code), tmp_path / "log.txt", variables) == status
 
 
-# holds a named pipe open as long as it lives
+# holds a named pipe open as long as it lives; nobody listens to signals but the kernel
 CHILD = """
-import os, signal, sys
-from tf_lab.support.processes import PARENT, end_with_parent
-end_with_parent()
-assert PARENT not in os.environ
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import tf_lab
+import os
+assert "TF_LAB_PARENT" not in os.environ
 alive = open(sys.argv[1], "w")
 signal.pause()
 """
@@ -88,15 +88,3 @@ def test_all_children_are_ended_at_once_and_none_starts_any_more(tmp_path: Path)
     assert statuses == [-signal.SIGTERM]
     with pytest.raises(KeyboardInterrupt):
         children.run(python(""), tmp_path / "log.txt", os.environ)
-
-
-def test_a_process_that_nobody_waits_for_watches_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    watched: list[int] = []
-    monkeypatch.setattr(processes, "end_with", watched.append)
-    monkeypatch.delenv(PARENT, raising=False)
-    processes.end_with_parent()
-    assert watched == []
-    monkeypatch.setenv(PARENT, "7")
-    processes.end_with_parent()
-    processes.end_with_parent()  # of its children, it is the parent
-    assert watched == [7]

@@ -1,35 +1,12 @@
-"""What all commands share: where the configs are, and how errors are shown."""
+"""A command: what it is called, what it does, and what stays when it is stopped."""
 
 from __future__ import annotations
 
-import argparse
-import logging
-import os
-import sys
-import warnings
 from collections.abc import Callable, Sequence
-from pkgutil import resolve_name
-from typing import Any, NoReturn
 
-import hydra
-from hydra._internal.utils import get_args_parser
-from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from tf_lab.support.stops import stoppable
 
-from tf_lab.cli import overrides, text_settings
-from tf_lab.cli.help import help_text
-from tf_lab.config.compose import conf_dir
-from tf_lab.config.schema import COMMANDS, register
-from tf_lab.config.typed import typed
-from tf_lab.errors import TFLabError
-from tf_lab.experiments.launcher import check_launcher, in_sweep, run_job
-from tf_lab.support.processes import Children, end_with_parent
-
-
-class FailedJob(CompactHydraException):
-    """A job of a sweep failed; Hydra ends the sweep with the message, and without a traceback."""
+AGAIN = "what it wrote is whole, the same command starts again"
 
 
 def command(
@@ -38,120 +15,28 @@ def command(
     target: str,
     *,
     unused: Sequence[str] = (),
-    resumable: bool = False,
+    keeps: str = AGAIN,
     jobs: str = "",
 ) -> Callable[[], None]:
     """A command: Hydra composes its config, ``target`` gets it typed; every error is one line.
 
     The exit status of an error is 2; a traceback is printed as well if the environment has
-    ``TF_LAB_DEBUG=1``. What does the work is imported only when there is work to do.
+    ``TF_LAB_DEBUG=1``. A signal ends it as `stoppable` says. What does the work is imported only
+    when there is work to do.
 
     Args:
         name: of the command, of its config and its schema.
         about: what it does and how it is called.
         target: the function, as ``package.module:name``; its argument is the typed config.
         unused: settings (or groups of them) that the command does not read.
-        resumable: an interrupted command, given again, goes on where it was.
+        keeps: what there is when it was stopped, and whether the same command goes on from it.
         jobs: where the `SweepJobs` are of a command whose sweeps run each job as a process.
     """
-    about = about or ""
-
-    def composed(cfg: DictConfig) -> None:
-        try:
-            if not in_sweep():  # else each job does
-                overrides.check(unused)
-            config: Any = typed(COMMANDS[name], cfg)
-            if jobs and in_sweep():  # in a worker of Slurm or Ray
-                job = HydraConfig.get()
-                run_job(resolve_name(jobs), config, job, Children(), prefix=f"{job.job.num}: ")
-                return
-            work = resolve_name(target)
-            _quieten()  # after the import, with which libraries set themselves up
-            work(config)
-        except (TFLabError, OmegaConfBaseException, OSError) as error:
-            _tell(_one_line(error, about))
-            if in_sweep():
-                raise FailedJob("a job of the sweep failed, see above") from None
-            sys.exit(2)
-
-    composed.jobs = jobs  # type: ignore[attr-defined]  # for the launcher
 
     def main() -> None:
-        end_with_parent()
-        os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
-        conf = conf_dir()
-        try:
-            register()
-            given = _command_line(COMMANDS[name])
-            if given.help:
-                print(help_text(conf, name, about, given.overrides, unused))
-            else:
-                overrides.check_groups(given.overrides, conf)
-                check_launcher(given)
-                hydra.main(version_base="1.3", config_path=str(conf), config_name=name)(composed)()
-        except (HydraException, OmegaConfBaseException, TFLabError) as error:
-            _tell(overrides.explain(error, conf, name))
-            sys.exit(2)
-        except KeyboardInterrupt:
-            more = "; the same command goes on from here" if resumable else ""
-            print(f"\ninterrupted{more}", file=sys.stderr)
-            sys.exit(130)
-        except BrokenPipeError:  # whoever reads has seen enough
-            os._exit(1)
+        with stoppable(keeps):
+            from tf_lab.cli.run import run_command  # takes a second, in which signals are heard
+
+            run_command(name, about or "", target, unused, jobs)
 
     return main
-
-
-def _command_line(schema: type) -> argparse.Namespace:
-    """The command line, from here on with its texts quoted for Hydra.
-
-    Raises:
-        TFLabError: it has an option that there is not, or an empty text.
-    """
-    parser = get_args_parser()
-
-    def error(message: str) -> NoReturn:
-        raise TFLabError(f"{message}; settings are NAME=VALUE, --help lists them")
-
-    parser.error = error  # type: ignore[method-assign]
-    given = parser.parse_args()
-    texts = text_settings.Texts.of(schema)
-    quoted = text_settings.quote_overrides(given.overrides, texts, overrides.is_sweep(given))
-    sys.argv = [sys.argv[0], *(quoted.get(word, word) for word in sys.argv[1:])]
-    return parser.parse_args()
-
-
-def _tell(line: str) -> None:
-    """Print the error that is being handled; raise it again where someone debugs."""
-    if os.environ.get("TF_LAB_DEBUG") == "1":
-        raise
-    print(f"error: {line}", file=sys.stderr)
-
-
-def _one_line(error: Exception, about: str) -> str:
-    """What the user of a command needs to know of an error."""
-    line = str(error)
-    if isinstance(error, MissingMandatoryValue):
-        lines = about.splitlines()
-        usage = next((line for line in lines if line.startswith("python -m")), "")
-        given = f"{error.full_key}="
-        cure = f"usage: {usage}" if given in usage else f"give {given}VALUE"
-        line = f"{error.full_key} is missing; {cure}"
-    if "Original Traceback" in line:  # raised in a loader process
-        line = line.rpartition(f"{type(error).__name__}: ")[2]
-    return " ".join(line.split())
-
-
-def _quieten() -> None:
-    """Keep libraries' advertisements and their remarks on our own choices off the screen."""
-    for chatty in ("lightning.pytorch", "fontTools"):
-        logging.getLogger(chatty).setLevel(logging.WARNING)
-    for message in (
-        ".*isinstance.treespec, LeafSpec.*",
-        ".*Checkpoint directory .* exists and is not empty.*",
-        ".*does not have many workers.*",
-        ".*in eval mode at the start of training.*",
-        ".*Experiment logs directory .* exists and is not empty.*",
-        ".*The dirpath has changed from .*",  # a training goes on from another's state
-    ):
-        warnings.filterwarnings("ignore", message=message)

@@ -83,6 +83,7 @@ class ChunkBatch:
         draws: int64 [B], of each chunk what makes its random choices its own.
         keep: K_t, views a voxel keeps; 0: all images, valid or not.
         rule: the policy of view selection that chooses them.
+        scenes: B names, of which the chunks are.
     """
 
     images: Tensor
@@ -96,6 +97,7 @@ class ChunkBatch:
     draws: Tensor
     keep: int
     rule: str
+    scenes: Sequence[str] = ()
 
     def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
         """The batch on another device (Lightning calls this)."""
@@ -162,6 +164,7 @@ def make_batch(
         draws=torch.tensor([_chance(r, seed, step) for r in records]),
         keep=keep,
         rule=rule,
+        scenes=[PurePosixPath(r.scene).name for r in records],
     )
 
 

@@ -13,6 +13,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.finite import check_finite
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.support.documents import parse_json
@@ -35,7 +36,7 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
 
     Raises:
-        TFLabError: the file is missing, not a checkpoint, or of another network.
+        TFLabError: the file is missing, not a checkpoint, of another network, or not finite.
     """
     if not path.is_file():
         raise TFLabError(f"{path}: no such checkpoint; train one with `python -m tf_lab.train`")
@@ -53,6 +54,7 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
         raise TFLabError(
             f"{path}: made by another version or another network ({reason}); train it again"
         ) from error
+    check_finite(network.state_dict(), path)
     return network.eval(), info
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import multiprocessing
@@ -97,20 +98,86 @@ def check_folder(folder: Path, path: Path | None = None) -> None:
         ) from error
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+PROBE = 2**16  # bytes
+
+
+@contextlib.contextmanager
+def telling_no_space(place: Path, final: Path | None = None) -> Iterator[None]:
+    """Say in one line that there is no space for a file, whatever its writer makes of that.
+
+    Few writers tell: torch's and safetensors' have errors of their own, numpy's no number. So what
+    was to be written, being temporary, is made longer: the error of that is the true one.
+
+    Args:
+        place: the file, or the folder of files, that is written in the block.
+        final: what it becomes; None: it stays, and is not made longer.
+
+    Raises:
+        TFLabError: there is no space for it. All else is raised as it is.
+    """
+    try:
+        yield
+    except TFLabError as error:
+        if final is None or str(place) not in str(error):
+            raise
+        raise TFLabError(str(error).replace(str(place), str(final))) from error
+    except Exception as error:
+        newest = _newest(place)
+        full = _full(error) or (_full(_grown(newest)) if final and newest else None)
+        if full is None:
+            raise
+        name = final or place
+        if newest is not None and newest != place:
+            name /= newest.relative_to(place)
+        raise TFLabError(
+            f"{name}: there is no space for it ({full.strerror}); what was finished is kept, make "
+            "room and give the same command again"
+        ) from error
+
+
+def _full(error: BaseException | None) -> OSError | None:
+    """The error in a chain of them by which the system says that there is no space."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in FULL:
+            return error
+        error = error.__cause__ or error.__context__
+    return None
+
+
+def _newest(place: Path) -> Path | None:
+    files = [place] if place.is_file() else [p for p in place.rglob("*") if p.is_file()]
+    return max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
+
+
+def _grown(file: Path) -> OSError | None:
+    """What the system says to a longer file."""
+    try:
+        with file.open("ab") as stream:
+            stream.write(bytes(PROBE))
+    except OSError as error:
+        return error
+    return None
+
+
 @contextlib.contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that replaces it when the block ends without an error.
 
     The temporary name keeps the suffix, because many writers choose the format by it.
+
+    Raises:
+        TFLabError: there is no space for it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=_prefix(), suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
-        yield temporary
-        temporary.chmod(0o644)
-        temporary.replace(path)
+        with telling_no_space(temporary, path):
+            yield temporary
+            temporary.chmod(0o644)
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -120,17 +187,21 @@ def atomic_directory(path: Path) -> Iterator[Path]:
     """A temporary directory beside ``path`` that becomes it when the block ends without an error.
 
     If ``path`` exists by then (another process was faster), that one stays.
+
+    Raises:
+        TFLabError: there is no space for it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=_prefix(), dir=path.parent))
     temporary.chmod(0o755)
     try:
-        yield temporary
-        try:
-            temporary.rename(path)
-        except OSError:
-            if not path.is_dir():
-                raise
+        with telling_no_space(temporary, path):
+            yield temporary
+            try:
+                temporary.rename(path)
+            except OSError:
+                if not path.is_dir():
+                    raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -30,7 +30,8 @@ def directory_lock(directory: Path, activity: str) -> Iterator[None]:
         lock.acquire()
     note = directory / ".holder"
     try:
-        note.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+        with contextlib.suppress(OSError):  # a full disk
+            note.write_text(f"process {os.getpid()} on {socket.gethostname()}")
         yield
     finally:
         note.unlink(missing_ok=True)

@@ -1,33 +1,14 @@
-"""Processes that must not outlive the one that started them."""
+"""Processes whose output is shown and kept, and which do not outlive the one that started them."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import threading
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-PARENT = "TF_LAB_PARENT"  # the process that waits for this one
-
-
-def end_with(parent: int) -> None:
-    """End this process when ``parent`` is not its parent any more, even if that was killed."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.1)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def end_with_parent() -> None:
-    """End this process as soon as the one that waits for it is gone, even if that was killed."""
-    parent = os.environ.pop(PARENT, None)  # helpers of a distributed training have another
-    if parent is not None:
-        end_with(int(parent))
+from tf_lab.support.stops import PARENT, as_parent
 
 
 class Children:
@@ -58,7 +39,8 @@ class Children:
                 assert process.stdout is not None
                 for line in process.stdout:
                     print(line, end="", file=file, flush=True)
-                    print(prefix + line, end="", flush=True)
+                    if not self._ended:
+                        print(prefix + line, end="", flush=True)
             except BaseException:  # interrupted: the process must not go on alone
                 process.terminate()
                 raise
@@ -72,14 +54,15 @@ class Children:
         with self._lock:
             if self._ended:
                 raise KeyboardInterrupt
-            process = subprocess.Popen(
-                command,
-                env=environment,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-            )
+            with as_parent():
+                process = subprocess.Popen(
+                    command,
+                    env=environment,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                    errors="replace",
+                )
             self._running.add(process)
             return process
 

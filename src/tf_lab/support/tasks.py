@@ -17,8 +17,8 @@ import torch
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_directory, remove_abandoned
 from tf_lab.support.locks import directory_lock
-from tf_lab.support.processes import end_with
 from tf_lab.support.progress import progress_bar
+from tf_lab.support.stops import Stopped, as_parent
 
 
 @dataclass(frozen=True)
@@ -84,25 +84,27 @@ def run_tasks(
     context = multiprocessing.get_context("spawn")
     with (
         progress_bar() as bar,
-        ProcessPoolExecutor(workers, mp_context=context, initializer=_worker) as pool,
+        ProcessPoolExecutor(
+            workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)
+        ) as pool,
     ):
         row = bar.add_task(title, total=len(tasks))
-        futures = {pool.submit(task): name for name, task in tasks.items()}
-        for future in as_completed(futures):
-            try:
-                future.result()
-            except TFLabError as error:
-                failed[futures[future]] = str(error)
-            except (MemoryError, BrokenProcessPool):
-                failed[futures[future]] = "a process ran out of memory; use fewer data.workers"
-            bar.advance(row)
+        try:
+            with as_parent():
+                futures = {pool.submit(task): name for name, task in tasks.items()}
+            for future in as_completed(futures):
+                try:
+                    future.result()
+                except TFLabError as error:
+                    failed[futures[future]] = str(error)
+                except (MemoryError, BrokenProcessPool):
+                    failed[futures[future]] = "a process ran out of memory; use fewer data.workers"
+                bar.advance(row)
+        except (Stopped, KeyboardInterrupt):  # else the pool would do all that is asked of it
+            for process in multiprocessing.active_children():
+                process.kill()
+            raise
     return failed
-
-
-def _worker() -> None:
-    """Start of a worker process: one thread, and no life after a killed parent."""
-    torch.set_num_threads(1)
-    end_with(os.getppid())
 
 
 def _build(job: SceneJob) -> None:

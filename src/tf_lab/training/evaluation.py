@@ -23,6 +23,7 @@ from tf_lab.evaluation.scores import Scores
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import EvaluationProgress
 
 
@@ -158,10 +159,8 @@ def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices:
         use_distributed_sampler=False,
         inference_mode=False,  # as outside Lightning
     )
-    try:
+    with as_parent(deaf=False):  # of the other processes of a distributed test
         trainer.test(module, datamodule=SceneSplit(scenes), verbose=False)
-    except SystemExit as end:  # how Lightning ends at an interrupt
-        raise KeyboardInterrupt from end
 
 
 def first_says(decision: bool) -> bool:

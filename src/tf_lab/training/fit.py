@@ -18,10 +18,13 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
-from tf_lab.support.files import atomic_path, remove_abandoned
+from tf_lab.support.files import atomic_path, remove_abandoned, telling_no_space
 from tf_lab.support.locks import directory_lock
+from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
+from tf_lab.training.finite import Finite
 from tf_lab.training.objects import arguments_of
+from tf_lab.training.state import read_state
 
 LAST = "last.ckpt"
 IDENTITY = "identity"  # in a checkpoint: of what it was trained with
@@ -93,8 +96,8 @@ def fit(
         The trainer, at its last step.
 
     Raises:
-        TFLabError: wrong settings of the trainer, or a damaged checkpoint.
-        KeyboardInterrupt: it was interrupted; the next call goes on.
+        TFLabError: wrong settings of the trainer, a damaged checkpoint, or numbers gone wrong.
+        KeyboardInterrupt: a callback ended it; the next call goes on.
     """
     made = _trainer(directory, trainer, settings, loggers, callbacks)
     batches = data()
@@ -103,9 +106,11 @@ def fit(
     state = last if resumes else start()
     if state is not None:
         print(f"{'resuming' if resumes else 'going on from'} {state}")
-    made.fit(module, batches, ckpt_path=state, weights_only=True)
+    # of the other processes of a distributed training; the loggers' files
+    with as_parent(deaf=False), telling_no_space(directory):
+        made.fit(module, batches, ckpt_path=state, weights_only=True)
     if made.global_step < settings.steps:
-        raise KeyboardInterrupt  # Lightning turns the signal into a silent end
+        raise KeyboardInterrupt  # a callback ended it
     made.save_checkpoint(last)  # to train on
     return made
 
@@ -117,11 +122,9 @@ def _is_ours(last: Path, identity: str | None) -> bool:
         TFLabError: it cannot be read.
     """
     try:
-        state = torch.load(last, map_location="cpu", weights_only=True)
-    except Exception as error:  # any damage
-        raise TFLabError(
-            f"{last}: damaged ({type(error).__name__}); delete it to start this training again"
-        ) from error
+        state = read_state(last)
+    except TFLabError as error:
+        raise TFLabError(f"{error}; delete it to start this training again") from error
     if identity is None or state.get(IDENTITY) == identity:
         return True
     print(f"{last}: of other settings or data; this training starts anew")
@@ -184,7 +187,7 @@ def _trainer(
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             gradient_clip_val=settings.clip or None,
-            callbacks=[saving, *identity, *callbacks, TrainingProgress()],
+            callbacks=[Finite(directory / LAST), saving, *identity, *callbacks, TrainingProgress()],
             plugins=[AtomicSaves()],
             logger=list(loggers),
             log_every_n_steps=5,

@@ -27,6 +27,7 @@ from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.weights import read_state_dict
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
+from tf_lab.training.state import read_state
 
 SHIPPED = "shipped"
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
@@ -123,23 +124,6 @@ def check_state(path: Path, settings: Mapping[str, Any]) -> None:
             f"init={path}: a state goes on with its optimizer, of which {misfit}; to train its "
             "weights otherwise give model.safetensors beside it"
         )
-
-
-def read_state(path: Path) -> dict[str, Any]:
-    """The state of a training.
-
-    Raises:
-        TFLabError: it is missing, or damaged.
-    """
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        return {**state, "global_step": int(state["global_step"])}
-    except FileNotFoundError as error:
-        raise TFLabError(f"{path}: no such file; give last.ckpt of a training") from error
-    except Exception as error:  # any damage
-        raise TFLabError(
-            f"{path}: damaged, or no state of a training ({type(error).__name__})"
-        ) from error
 
 
 def _is_state(path: Path) -> bool:

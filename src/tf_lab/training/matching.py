@@ -99,11 +99,12 @@ class Matching(L.LightningModule):
         terms["loss"] = terms["coarse"] + terms["fine"]
         return terms
 
-    def training_step(self, batch: PairBatch, batch_idx: int) -> Tensor:
+    def training_step(self, batch: PairBatch, batch_idx: int) -> dict[str, Tensor]:
         """InfoNCE at both levels."""
         terms = self._losses(batch)
-        self.log_dict({f"train/{k}": v.detach() for k, v in terms.items()})
-        return terms["loss"]
+        seen = {k: v.detach() for k, v in terms.items()}
+        self.log_dict({f"train/{k}": v for k, v in seen.items()})
+        return {**seen, "loss": terms["loss"]}
 
     def validation_step(self, batch: PairBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
         """The same on scenes never trained on; the best match of P + E candidates."""

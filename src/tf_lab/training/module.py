@@ -57,7 +57,7 @@ class Training(SceneEvaluation):
             }
         )
 
-    def training_step(self, batch: ChunkBatch, batch_idx: int) -> Tensor:
+    def training_step(self, batch: ChunkBatch, batch_idx: int) -> dict[str, Tensor]:
         """L = L_c + L_f + L_o of a batch."""
         known = self.known_maps
         maps = None if known is None else known(batch.images.flatten(0, 1))
@@ -73,12 +73,13 @@ class Training(SceneEvaluation):
             use_masks=self.network.config.filter,
             sdf_weight=self.sdf_weight,
         )
+        seen = {k: v.detach() for k, v in terms.items()}
         self.log_dict(
-            {f"train/{k}": v.detach() for k, v in terms.items()},
+            {f"train/{k}": v for k, v in seen.items()},
             batch_size=len(batch.images),
             sync_dist=True,
         )
-        return terms["loss"]
+        return {**seen, "loss": terms["loss"]}
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam with a per-step schedule."""

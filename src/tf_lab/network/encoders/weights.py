@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import PYRAMID, Encoder
+from tf_lab.network.finite import check_finite
 
 MOST_SHARED = 16  # tensors may share what is stored
 
@@ -17,16 +18,15 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
     """Tensors of a .safetensors file or of a weights-only torch file.
 
     Raises:
-        TFLabError: the file is missing or is neither.
+        TFLabError: the file is missing, is neither, or its weights are not finite.
     """
     from safetensors.torch import load_file
 
     if not path.is_file():
         raise TFLabError(f"{path}: no such weights file")
     try:
-        if path.suffix == ".safetensors":
-            return load_file(path)
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        safe = path.suffix == ".safetensors"
+        state = load_file(path) if safe else torch.load(path, "cpu", weights_only=True)
     except Exception as error:  # both loaders raise many kinds
         raise TFLabError(f"{path}: not a weights file ({type(error).__name__})") from error
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
@@ -34,6 +34,7 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
     size = sum(tensor.numel() * tensor.element_size() for tensor in state.values())
     if size > MOST_SHARED * path.stat().st_size:  # views that repeat a number
         raise TFLabError(f"{path}: not a weights file (its tensors are larger than it)")
+    check_finite(state, path)
     return state
 
 

@@ -1,0 +1,179 @@
+"""How processes end: at a signal, with one line and the shell's exit status; and with their parent.
+
+Tidying up is given `GRACE` seconds. Nothing depends on it: what is half written is never read,
+locks are freed by the kernel, and children end with their parent however that ends.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from types import FrameType
+from typing import NoReturn
+
+PARENT = "TF_LAB_PARENT"  # the process that a child is to end with
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+GRACE = 2.0  # seconds
+PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
+
+_stoppable = False  # whether a stop of this process is a line and a status
+
+
+class Stopped(BaseException):
+    """A signal ends this process. No `KeyboardInterrupt`: at one, Lightning exits by itself."""
+
+
+@contextlib.contextmanager
+def stoppable(keeps: str) -> Iterator[None]:
+    """In the main thread: end the process at SIGINT, SIGTERM and SIGHUP with status 128 + number.
+
+    The first of them is raised as `Stopped`, further ones change nothing. Who has not ended
+    `GRACE` seconds later, because the exception got lost or because something waits, is ended.
+
+    SIGINT is heard also where a shell started the process in the background; SIGHUP is not, where
+    it is ignored (nohup).
+
+    Args:
+        keeps: what a stop leaves behind, for the line that it prints.
+    """
+    global _stoppable
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    stop = _Stop(keeps)
+    numbers = [n for n in SIGNALS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
+    before = {number: signal.signal(number, stop.hear) for number in numbers}
+    fd_before, _stoppable = signal.set_wakeup_fd(stop.pipe, warn_on_full_buffer=False), True
+    interrupted = False
+    try:
+        yield
+    except KeyboardInterrupt:  # raised without a signal
+        interrupted = True
+    except BaseException:
+        if not stop.number:
+            raise
+    finally:
+        if not stop.number:
+            _stoppable = False
+            signal.set_wakeup_fd(fd_before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            os.close(stop.pipe)
+    if stop.number:  # also where `Stopped` became something else, or was lost
+        stop.end(stop.number)
+    if interrupted:
+        stop.tell(signal.SIGINT)
+        sys.exit(128 + signal.SIGINT)
+
+
+class _Stop:
+    """Hears the signal: as an exception in the main thread, and by a thread that ends the rest."""
+
+    def __init__(self, keeps: str) -> None:
+        self.keeps, self.number, self._told = keeps, 0, False
+        end, self.pipe = os.pipe()  # the interpreter writes signals to it, whatever it is at
+        os.set_blocking(self.pipe, False)
+        threading.Thread(target=self._watch, args=(end,), daemon=True).start()
+
+    def hear(self, number: int, frame: FrameType | None) -> None:
+        if not self.number:
+            self.number = number
+            if _imports(frame):  # nothing to tidy up yet; a library cut off there may crash
+                self.end(number)
+            raise Stopped(signal.Signals(number).name)
+
+    def end(self, number: int) -> NoReturn:
+        """End without what the interpreter does at its end, at which the thread may crash it."""
+        self.tell(number)
+        atexit._run_exitfuncs()  # of loggers, of multiprocessing
+        os._exit(128 + number)
+
+    def tell(self, number: int) -> None:
+        """Print the line, once; of a distributed training, its first process does."""
+        if not self._told and os.environ.get("LOCAL_RANK", "0") == "0":
+            self._told = True
+            how = "interrupted" if number == signal.SIGINT else "stopped"
+            echo = "\n" if sys.stderr.isatty() else ""  # after ^C
+            with contextlib.suppress(OSError, ValueError):
+                sys.stdout.flush()
+                print(f"{echo}{how}: {self.keeps}", file=sys.stderr, flush=True)
+
+    def _watch(self, end: int) -> None:
+        byte = b"-"
+        while byte and byte[0] not in SIGNALS:
+            byte = os.read(end, 1)
+        os.close(end)
+        if byte:
+            time.sleep(GRACE)
+            self.tell(byte[0])
+            os._exit(128 + byte[0])
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether this is in the middle of an import."""
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
+
+
+def _forked() -> None:
+    """A forked child, such as a loader's worker, ends with its parent, and silently."""
+    if _stoppable:
+        signal.set_wakeup_fd(-1)
+        for number in SIGNALS:
+            signal.signal(number, lambda *_: os._exit(0))
+        end_with(os.getppid())
+
+
+os.register_at_fork(after_in_child=_forked)
+
+
+def end_with(parent: int) -> None:
+    """End this process when ``parent`` is not its parent any more, even if that was killed.
+
+    On Linux the kernel does it at once, whatever this process is at (it means the thread that
+    started it); elsewhere a thread does, as soon as the interpreter lets it.
+    """
+    import ctypes
+
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL))
+        if os.getppid() != parent:  # it was quicker
+            os._exit(1)
+        return
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def end_with_parent() -> None:
+    """End this process when the one ends that started it by `as_parent`, if one did."""
+    parent = os.environ.pop(PARENT, None)
+    if parent is not None:
+        end_with(int(parent))
+
+
+@contextlib.contextmanager
+def as_parent(deaf: bool = True) -> Iterator[None]:
+    """Processes of this package that are started meanwhile end with this one.
+
+    Args:
+        deaf: they don't hear SIGINT, which a terminal sends to all: this process ends them.
+    """
+    os.environ[PARENT] = str(os.getpid())
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT} if deaf else ())
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        os.environ.pop(PARENT, None)
