@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import os
-import sys
-import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 
 from tf_lab.benchmarks.plane_sweep import plane_sweep
+from tf_lab.commands.inputs import open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ReconstructConfig
 from tf_lab.data.capture import Capture
-from tf_lab.data.diagnosis import quick_warning
-from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
-from tf_lab.data.readers import open_capture
-from tf_lab.data.reading import ReadSettings
-from tf_lab.data.resize import Resized
-from tf_lab.data.scene import Scene
-from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene
@@ -49,7 +40,7 @@ def run(config: ReconstructConfig) -> None:
     if output.suffix != ".ply":
         raise TFLabError(f"output={output}: the mesh is written as .ply")
     check_file(output)
-    capture = _open(config, info)
+    capture = open_input(config, info)
     if config.input is None and config.output is None:
         output = output.with_stem(capture.name)
     start = time.time()
@@ -83,22 +74,6 @@ def _place(config: ReconstructConfig) -> Path:
     return Path("outputs/reconstructions", path.parent, f"{path.name}.ply")
 
 
-def _open(config: ReconstructConfig, info: dict[str, Any]) -> Capture:
-    """The input at the image size that the checkpoint was trained at; a test room without one."""
-    if config.input is None:
-        rooms = open_source(config.data).scenes("test")["test"]
-        return Scene(next(iter(rooms.values())))
-    settings = ReadSettings.part_of(config)
-    capture = open_capture(Path(config.input), settings)
-    warning = quick_warning(capture, settings) if config.check else None
-    if warning is not None:
-        print(f"warning: {config.input}: {warning}", file=sys.stderr)
-    data = info.get("training", {}).get("config", {}).get("data", {})
-    if "width" not in data:
-        return capture
-    return Resized(capture, (data["width"], data["height"]))
-
-
 def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) -> Reconstruction:
     settings = capture_settings(config)
     with progress_bar() as bar:
@@ -120,38 +95,14 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
     images = [capture.image(i) for i in frames]
     truth: trimesh.Trimesh | None = None
     fscore = None
-    with tempfile.TemporaryDirectory() as temporary:
-        groundtruth = Path(temporary)
-        if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
-            groundtruth = capture.groundtruth
-        else:
-            _fuse_depth(capture, groundtruth)
-        if (groundtruth / "mesh_gt.ply").exists():
+    with own_groundtruth(capture) as groundtruth:
+        if groundtruth is not None:
             scores = evaluate_scene(result.mesh, groundtruth)
             print("against the mesh fused from its own depth:")
             print(format_table([(capture.name, scores)], first="Scene"))
             truth, fscore = read_mesh(groundtruth / "mesh_gt.ply"), scores["fscore"]
     compare(result.mesh, truth, images, picture, capture.name, fscore)
     print(f"{picture}: a picture of it")
-
-
-def _fuse_depth(capture: Capture, directory: Path) -> None:
-    """Ground truth from the source's own depth, if it has any; the mesh is there without it."""
-    frames, unreadable = [], []
-    for i in range(len(capture.frames)):
-        try:
-            if capture.depth(i) is not None:
-                frames.append(i)
-        except TFLabError as error:
-            unreadable.append(error)
-    if unreadable:
-        print(f"{len(unreadable)} depth maps are left out; the first: {unreadable[0]}")
-    if not frames:
-        return
-    try:
-        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames)
-    except TFLabError as error:
-        print(f"not scored, because the depth cannot be fused: {error}")
 
 
 def _in_source_frame(mesh: trimesh.Trimesh, capture: Capture) -> trimesh.Trimesh:

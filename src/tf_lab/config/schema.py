@@ -28,6 +28,7 @@ from tf_lab.data.reading import ReadSettings
 from tf_lab.data.settings import PhotometricSettings
 from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.settings import Content
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
@@ -157,8 +158,8 @@ class PrepareConfig:
 
 
 @dataclass(frozen=True)
-class ReconstructConfig(InferenceSettings, ReadSettings):
-    """python -m tf_lab.reconstruct"""
+class CaptureConfig(InferenceSettings, ReadSettings):
+    """A capture and the network that reconstructs it."""
 
     data: Any = MISSING
     select: Any = MISSING
@@ -173,20 +174,50 @@ class ReconstructConfig(InferenceSettings, ReadSettings):
         "model.safetensors of a training run; null: the one that comes with tf_lab",
         kind="path",
     )
+    check: bool = setting(
+        True, "warn of cameras that are clearly wrong (python -m tf_lab.check says more)"
+    )
+    seed: int = setting(0, "of select=rnd")
+    device: str = setting("auto", "auto, cpu, cuda")
+
+
+@dataclass(frozen=True)
+class ReconstructConfig(CaptureConfig):
+    """python -m tf_lab.reconstruct"""
+
     output: str | None = setting(
         None, "the mesh; null: outputs/reconstructions/<path of the input>.ply", kind="path"
     )
     method: str = setting(
         "network", "or plane_sweep: classical stereo at the same image size, to compare with"
     )
-    check: bool = setting(
-        True, "warn of cameras that are clearly wrong (python -m tf_lab.check says more)"
-    )
     source_frame: bool = setting(
         False, "write the mesh in the source's world instead of the z-up one"
     )
-    seed: int = setting(0, "of select=rnd")
-    device: str = setting("auto", "auto, cpu, cuda")
+
+
+@dataclass(frozen=True)
+class ViewConfig(CaptureConfig):
+    """python -m tf_lab.view"""
+
+    run: str | None = setting(
+        None, "a run's folder: its test scene, with its network and settings", kind="path"
+    )
+    scene: str | None = setting(None, "which test scene of the run; null: the first")
+    mesh: Any = setting(
+        None, "a mesh, or a list of such side by side, as it is", kind="path", several=True
+    )
+    groundtruth: str | None = setting(
+        None, "a mesh to compare with; null: the input's own, if it has any", kind="path"
+    )
+    play: bool = setting(True, "add frames as soon as somebody looks")
+    port: int = setting(8080, "of this machine, on which the page is")
+
+    def __post_init__(self) -> None:
+        if sum(x is not None for x in (self.input, self.run, self.mesh)) > 1:
+            raise TFLabError("give one of input=, run= and mesh=")
+        if not 0 <= self.port <= 65535:
+            raise TFLabError(f"port={self.port}: choose one from 1024 to 65535")
 
 
 @dataclass(frozen=True)
@@ -261,6 +292,7 @@ COMMANDS: dict[str, type] = {
     "check": CheckConfig,
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
+    "view": ViewConfig,
     "benchmark": BenchmarkConfig,
 }
 OPTIONS: dict[tuple[str, str], type] = {

@@ -1,0 +1,71 @@
+"""Inputs of the commands that reconstruct: captures, and the ground truth that they bring."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tf_lab.config.schema import CaptureConfig
+from tf_lab.data.capture import Capture
+from tf_lab.data.diagnosis import quick_warning
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
+from tf_lab.data.readers import open_capture
+from tf_lab.data.reading import ReadSettings
+from tf_lab.data.resize import Resized
+from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
+from tf_lab.errors import TFLabError
+
+
+def open_input(config: CaptureConfig, info: dict[str, Any]) -> Capture:
+    """The input at the image size that the checkpoint was trained at; a test room without one."""
+    if config.input is None:
+        rooms = open_source(config.data).scenes("test")["test"]
+        return Scene(next(iter(rooms.values())))
+    settings = ReadSettings.part_of(config)
+    capture = open_capture(Path(config.input), settings)
+    warning = quick_warning(capture, settings) if config.check else None
+    if warning is not None:
+        print(f"warning: {config.input}: {warning}", file=sys.stderr)
+    data = info.get("training", {}).get("config", {}).get("data", {})
+    if "width" not in data:
+        return capture
+    return Resized(capture, (data["width"], data["height"]))
+
+
+@contextmanager
+def own_groundtruth(capture: Capture) -> Iterator[Path | None]:
+    """A folder with a capture's ground truth, for as long as it is used.
+
+    It is what the scene brings, or fused from the source's own depth; None without either.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        directory = Path(temporary)
+        if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
+            directory = capture.groundtruth
+        else:
+            _fuse_depth(capture, directory)
+        yield directory if (directory / "mesh_gt.ply").exists() else None
+
+
+def _fuse_depth(capture: Capture, directory: Path) -> None:
+    """Ground truth from the source's own depth, if it has any; the mesh is there without it."""
+    frames, unreadable = [], []
+    for i in range(len(capture.frames)):
+        try:
+            if capture.depth(i) is not None:
+                frames.append(i)
+        except TFLabError as error:
+            unreadable.append(error)
+    if unreadable:
+        print(f"{len(unreadable)} depth maps are left out; the first: {unreadable[0]}")
+    if not frames:
+        return
+    try:
+        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames)
+    except TFLabError as error:
+        print(f"not scored, because the depth cannot be fused: {error}")
