@@ -82,13 +82,15 @@ class Page:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
             time.sleep(0.1)
 
-    def click_text(self, text: str, tag: str = "button") -> None:
-        """Click the element of a tag that reads so."""
-        find = (
-            f"[...document.querySelectorAll('{tag}')].find(e => e.textContent.trim() == '{text}')"
-        )
+    def click_text(self, text: str, selector: str = "button") -> None:
+        """Click the element that a selector finds and that reads so."""
+        self.click_first(selector, f"e => e.textContent.trim() == '{text}'")
+
+    def click_first(self, selector: str, where: str = "e => true") -> None:
+        """Click the middle of the first element that a selector finds."""
         middle = "(r => [r.x + r.width / 2, r.y + r.height / 2])(e.getBoundingClientRect())"
-        self.click(*self.wait(f"(e => e && {middle})({find})"))
+        find = f"[...document.querySelectorAll('{selector}')].find({where})"
+        self.click(*self.wait(f"(e => e ? {middle} : null)({find})"))
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import trimesh
 
 from tf_lab.data.capture import Capture
 from tf_lab.geometry import CHUNK, COARSE, FINE
+from tf_lab.meshes.weld import Part
 from tf_lab.network.network import Network
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
@@ -37,7 +38,7 @@ class Growth:
         self.pieces: dict[Chunk, trimesh.Trimesh] = {}
         self.sources: list[int] = []
         self.settled = True
-        self._parts: dict[Chunk, object] = {}  # of the surface, as they were last seen
+        self._parts: dict[Chunk, Part] = {}  # of the surface, as they were last seen
 
     def __len__(self) -> int:
         return len(self.sources)
@@ -83,13 +84,13 @@ class Growth:
                 found.extend(points[front])
         if not found:
             return None
-        return min(found, key=lambda point: float((point - origin) @ direction))
+        return np.array(min(found, key=lambda point: float((point - origin) @ direction)))
 
     def _news(self) -> Pieces:
         """Chunks whose surface is another one than when this was last asked."""
         surface = self.reconstructor.surface
         now = surface.parts
-        changed = [chunk for chunk, part in now.items() if self._parts.get(chunk) is not part]
+        changed = [chunk for chunk, part in now.items() if not _same(self._parts.get(chunk), part)]
         gone = self._parts.keys() - now.keys()
         self._parts = {**now}
         scale = FINE / surface.n
@@ -111,6 +112,13 @@ def _changed(level: Level, edge: int) -> list[Chunk]:
         return []
     chunks = torch.div(level.blocks.voxels(rows), edge, rounding_mode="floor")
     return [(x, y, z) for x, y, z in torch.unique(chunks, dim=0).tolist()]
+
+
+def _same(old: Part | None, new: Part) -> bool:
+    """Whether a chunk was meshed again to the same surface."""
+    if old is None or old is new:
+        return old is new
+    return all(np.array_equal(a, b) for a, b in zip(old, new, strict=True))
 
 
 def _meets(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:

@@ -49,9 +49,9 @@ class Panel:
             self._frames()
         with gui.add_folder("Views kept"):
             self._selection()
-            self.kept = gui.add_html(kept_views(None))
         with gui.add_folder("Show"):
             self._display()
+        self.kept = gui.add_html(kept_views(None))
 
         @self.server.scene.on_click()
         def _(event: Any) -> None:

@@ -253,7 +253,11 @@ class Session:
         colors = np.empty((0, 3), np.uint8)
         if piece is not None:
             total = len(self.capture.frames)
-            colors = painter(self.mode, self.growth, total, self.truth)(piece)
+            try:
+                colors = painter(self.mode, self.growth, total, self.truth)(piece)
+            except TFLabError:
+                self.mode, self._unpainted = MODES[0], set(self.growth.pieces)
+                raise
         self.listener.meshed(chunk, piece, colors)
 
     def _find(self) -> None:
