@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -18,7 +20,9 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import format_table
+from tf_lab.meshes.decimate import decimated
 from tf_lab.meshes.files import read_mesh, write_mesh
+from tf_lab.meshes.glb import glb_of
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
@@ -27,6 +31,10 @@ from tf_lab.support.files import atomic_path, check_file
 from tf_lab.support.progress import progress_bar
 
 NETWORK, STEREO = METHODS = ("network", "plane_sweep")
+WRITERS: dict[str, Callable[[trimesh.Trimesh, Path], Any]] = {
+    ".ply": write_mesh,
+    ".glb": lambda mesh, path: path.write_bytes(glb_of(mesh)),
+}
 
 
 def run(config: ReconstructConfig) -> None:
@@ -37,8 +45,8 @@ def run(config: ReconstructConfig) -> None:
         raise TFLabError(f"method={config.method}: choose {' or '.join(METHODS)}")
     network = ready(network, config.online, device_of(config.device))
     output = _place(config)
-    if output.suffix != ".ply":
-        raise TFLabError(f"output={output}: the mesh is written as .ply")
+    if output.suffix not in WRITERS:
+        raise TFLabError(f"output={output}: the mesh is written as {' or '.join(WRITERS)}")
     check_file(output)
     capture = open_input(config, info)
     if config.input is None and config.output is None:
@@ -49,8 +57,9 @@ def run(config: ReconstructConfig) -> None:
     mesh = result.mesh
     if config.source_frame:
         mesh = _in_source_frame(mesh, capture)
+    mesh = decimated(mesh, config.decimate)
     with atomic_path(output) as temporary:
-        write_mesh(mesh, temporary)
+        WRITERS[output.suffix](mesh, temporary)
     skipped = [*capture.skipped, *result.skipped]
     print(
         f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames in "

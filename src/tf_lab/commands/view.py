@@ -8,6 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import trimesh
+
 from tf_lab.commands.inputs import open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ViewConfig
@@ -17,6 +19,7 @@ from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.files import read_mesh
+from tf_lab.meshes.glb import read_glb
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.reporting.results import read_run
 from tf_lab.support.devices import device_of
@@ -31,8 +34,8 @@ def run(config: ViewConfig) -> None:
     server = LocalServer(config.port)  # told before anything that takes long
     if config.mesh is not None:
         paths = [config.mesh] if isinstance(config.mesh, str) else config.mesh
-        meshes = {path: read_mesh(Path(path)) for path in paths}
-        truth = None if config.groundtruth is None else read_mesh(Path(config.groundtruth))
+        meshes = {path: _read(Path(path)) for path in paths}
+        truth = None if config.groundtruth is None else _read(Path(config.groundtruth))
         show_meshes(server, meshes, truth)
         server.wait()
         return
@@ -59,6 +62,11 @@ def run(config: ViewConfig) -> None:
 
     session.start()
     server.wait()
+
+
+def _read(path: Path) -> trimesh.Trimesh:
+    """A mesh of either kind that `tf_lab.reconstruct` writes."""
+    return read_glb(path) if path.suffix == ".glb" else read_mesh(path)
 
 
 def _of_run(config: ViewConfig, directory: Path) -> tuple[ViewConfig, Capture]:
@@ -88,7 +96,7 @@ def _truth_of(capture: Capture, path: str | None) -> Any:
     @cache
     def make() -> Truth | None:
         if path is not None:
-            return Truth(read_mesh(Path(path)))
+            return Truth(_read(Path(path)))
         with own_groundtruth(capture) as directory:
             return None if directory is None else Truth(read_mesh(directory / "mesh_gt.ply"))
 

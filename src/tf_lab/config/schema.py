@@ -186,14 +186,21 @@ class ReconstructConfig(CaptureConfig):
     """python -m tf_lab.reconstruct"""
 
     output: str | None = setting(
-        None, "the mesh; null: outputs/reconstructions/<path of the input>.ply", kind="path"
+        None,
+        "the mesh, .ply or .glb; null: outputs/reconstructions/<path of the input>.ply",
+        kind="path",
     )
+    decimate: float = setting(1.0, "share of the mesh's faces that is written")
     method: str = setting(
         "network", "or plane_sweep: classical stereo at the same image size, to compare with"
     )
     source_frame: bool = setting(
         False, "write the mesh in the source's world instead of the z-up one"
     )
+
+    def __post_init__(self) -> None:
+        if not 0 < self.decimate <= 1:
+            raise TFLabError(f"decimate={self.decimate}: a share of the faces, over 0 up to 1")
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 import trimesh
 from scipy.spatial import cKDTree
-from trimesh.visual import ColorVisuals
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import FINE
 from tf_lab.meshes.colors import color_vertices
+from tf_lab.meshes.glb import vertex_colors
 from tf_lab.meshes.raycast import CLAY
 from tf_lab.viewer.colors import error_colors, frame_colors
 from tf_lab.viewer.growth import Growth
@@ -49,14 +49,9 @@ def by_images(growth: Growth, piece: trimesh.Trimesh) -> np.ndarray:
         torch.stack([frames.poses[i][1] for i in chosen]),
         occluders=np.concatenate([np.empty((0, 3)), *others]),
     )
-    return vertex_colors(painted)
-
-
-def vertex_colors(mesh: trimesh.Trimesh) -> np.ndarray:
-    """The colours of a mesh's vertices: uint8 [V, 3]; clay if it has none."""
-    if isinstance(mesh.visual, ColorVisuals) and mesh.visual.kind == "vertex":
-        return np.asarray(mesh.visual.vertex_colors)[:, :3]
-    return clay(mesh)
+    colors = vertex_colors(painted)
+    assert colors is not None
+    return colors
 
 
 def by_best_view(growth: Growth, piece: trimesh.Trimesh, total: int) -> np.ndarray:

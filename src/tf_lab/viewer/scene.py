@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tf_lab.data.capture import Capture
 from tf_lab.geometry import COARSE
+from tf_lab.meshes.glb import glb_of
 from tf_lab.meshes.raycast import CLAY, overview_camera
 from tf_lab.online.surface import Chunk
 from tf_lab.viewer.colors import frame_colors, weight_colors
@@ -62,8 +63,8 @@ class Drawing:
             return
         shown = trimesh.Trimesh(piece.vertices, piece.faces, vertex_colors=colors, process=False)
         name = f"{self.name}/mesh/{'_'.join(map(str, chunk))}"
-        self._pieces[chunk] = self.server.scene.add_mesh_trimesh(
-            name, shown, visible="mesh" not in self._hidden
+        self._pieces[chunk] = self.server.scene.add_glb(
+            name, glb_of(shown, np.eye(4)), visible="mesh" not in self._hidden
         )
 
     def draw_truth(self, mesh: trimesh.Trimesh) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import trimesh
 
 from tf_lab.errors import TFLabError
+from tf_lab.meshes.glb import vertex_colors
 from tf_lab.viewer.colors import error_colors
 from tf_lab.viewer.html import legend_of
-from tf_lab.viewer.paint import Truth, clay, vertex_colors
+from tf_lab.viewer.paint import Truth, clay
 from tf_lab.viewer.scene import Drawing, look_from_above
 from tf_lab.viewer.serve import LocalServer
 
@@ -66,4 +67,5 @@ def _colors(mesh: trimesh.Trimesh, mode: str, truth: Truth | None) -> np.ndarray
     """Of the vertices, uint8 [V, 3]."""
     if mode == "error" and truth is not None:
         return error_colors(truth.distances(np.asarray(mesh.vertices)))
-    return vertex_colors(mesh) if mode == "as stored" else clay(mesh)
+    stored = vertex_colors(mesh) if mode == "as stored" else None
+    return clay(mesh) if stored is None else stored
