@@ -266,6 +266,7 @@ class ReportConfig:
     pictures: bool = setting(
         True, "draw each test scene under every row, where the runs have meshes"
     )
+    pages: bool = setting(True, "the study and each run as one HTML file, to open offline or mail")
     keep: bool = setting(False, "copy the runs' small files to OUTPUT/runs, to be committed")
 
 
