@@ -24,11 +24,21 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("config",),
     ("experiments",),
     ("reporting",),
-    ("training", "benchmarks"),
+    ("training", "benchmarks", "viewer"),
     ("cli", "commands"),
 )
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-SLOW = {"torch", "lightning", "matplotlib", "trimesh", "scipy", "cv2", "torchmetrics", "skimage"}
+SLOW = {
+    "torch",
+    "lightning",
+    "matplotlib",
+    "trimesh",
+    "scipy",
+    "cv2",
+    "torchmetrics",
+    "skimage",
+    "viser",
+}
 
 
 def modules() -> dict[str, Path]:
@@ -88,6 +98,7 @@ def test_the_top_is_commands() -> None:
 
 SHORT = (
     *(["train", "--help"], ["report", "--help"], ["reconstruct", "--help"], ["check", "-h"]),
+    ["view", "--help"],
     *(["train", "sede=1"], ["evaluate", "predictions=a"], ["runs", "--output=nowhere"]),
     ["report", "runs=nowhere"],
 )

@@ -16,7 +16,7 @@ from tf_lab.reporting import gallery
 from tf_lab.reporting.paper import SCORES
 
 FILES = {
-    *("tables.md", "orderings.md", "runs.csv"),
+    *("tables.md", "orderings.md", "runs.csv", "report.html", "pages"),
     *(f"{n}.csv" for n in ("main", "inputs", "comparison", "orderings", "seeds", "scenes")),
     *(f"table_{n}.tex" for n in ("main", "inputs", "comparison", "orderings", "seeds", "scenes")),
     *(f"chart_{name}.{kind}" for name in ("views", "rows") for kind in ("png", "pdf")),

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
-import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,31 +12,29 @@ import numpy as np
 import trimesh
 
 from tf_lab.benchmarks.plane_sweep import plane_sweep
+from tf_lab.commands.inputs import open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ReconstructConfig
 from tf_lab.data.capture import Capture
-from tf_lab.data.diagnosis import quick_warning
-from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
-from tf_lab.data.readers import open_capture
-from tf_lab.data.reading import ReadSettings
-from tf_lab.data.resize import Resized
-from tf_lab.data.scene import Scene
-from tf_lab.data.settings import MOST_SIDE
-from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import format_table
+from tf_lab.meshes.decimate import decimated
 from tf_lab.meshes.files import read_mesh, write_mesh
+from tf_lab.meshes.glb import glb_of
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file, file_name
 from tf_lab.support.progress import progress_bar
-from tf_lab.support.records import record
 
 NETWORK, STEREO = METHODS = ("network", "plane_sweep")
+WRITERS: dict[str, Callable[[trimesh.Trimesh, Path], Any]] = {
+    ".ply": write_mesh,
+    ".glb": lambda mesh, path: path.write_bytes(glb_of(mesh)),
+}
 
 
 def run(config: ReconstructConfig) -> None:
@@ -48,10 +45,10 @@ def run(config: ReconstructConfig) -> None:
         raise TFLabError(f"method={config.method}: choose {' or '.join(METHODS)}")
     network = ready(network, config.online, device_of(config.device))
     output = _place(config)
-    if output.suffix != ".ply":
-        raise TFLabError(f"output={output}: the mesh is written as .ply")
+    if output.suffix not in WRITERS:
+        raise TFLabError(f"output={output}: the mesh is written as {' or '.join(WRITERS)}")
     check_file(output)
-    capture = _open(config, info)
+    capture = open_input(config, info)
     if config.input is None and config.output is None:
         output = output.with_stem(file_name(capture.name))
     start = time.time()
@@ -60,8 +57,9 @@ def run(config: ReconstructConfig) -> None:
     mesh = result.mesh
     if config.source_frame:
         mesh = _in_source_frame(mesh, capture)
+    mesh = decimated(mesh, config.decimate)
     with atomic_path(output) as temporary:
-        write_mesh(mesh, temporary)
+        WRITERS[output.suffix](mesh, temporary)
     skipped = [*capture.skipped, *result.skipped]
     print(
         f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames in "
@@ -85,38 +83,6 @@ def _place(config: ReconstructConfig) -> Path:
     return Path("outputs/reconstructions", path.parent, f"{path.name}.ply")
 
 
-def _open(config: ReconstructConfig, info: dict[str, Any]) -> Capture:
-    """The input at the image size that the checkpoint was trained at; a test room without one."""
-    if config.input is None:
-        rooms = open_source(config.data).scenes("test")["test"]
-        return Scene(next(iter(rooms.values())))
-    settings = ReadSettings.part_of(config)
-    capture = open_capture(Path(config.input), settings)
-    warning = quick_warning(capture, settings) if config.check else None
-    if warning is not None:
-        print(f"warning: {config.input}: {warning}", file=sys.stderr)
-    size = _trained_size(info)
-    return Resized(capture, size) if size else capture
-
-
-def _trained_size(info: dict[str, Any]) -> tuple[int, int] | None:
-    """The (width, height) of the images that a checkpoint was trained at, if it says so.
-
-    Raises:
-        TFLabError: it says something else.
-    """
-    try:
-        data = info["training"]["config"]["data"]
-        size = record(tuple[int, int], [data["width"], data["height"]], "image size")
-    except (KeyError, TypeError):
-        return None
-    except ValueError as error:
-        raise TFLabError(f"the checkpoint's {error}; train it again") from error
-    if not all(1 <= side <= MOST_SIDE for side in size):
-        raise TFLabError(f"the checkpoint's image size {size} is impossible; train it again")
-    return size
-
-
 def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) -> Reconstruction:
     settings = capture_settings(config)
     with progress_bar() as bar:
@@ -138,38 +104,14 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
     images = [capture.image(i) for i in frames]
     truth: trimesh.Trimesh | None = None
     fscore = None
-    with tempfile.TemporaryDirectory() as temporary:
-        groundtruth = Path(temporary)
-        if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
-            groundtruth = capture.groundtruth
-        else:
-            _fuse_depth(capture, groundtruth)
-        if (groundtruth / "mesh_gt.ply").exists():
+    with own_groundtruth(capture) as groundtruth:
+        if groundtruth is not None:
             scores = evaluate_scene(result.mesh, groundtruth)
             print("against the mesh fused from its own depth:")
             print(format_table([(capture.name, scores)], first="Scene"))
             truth, fscore = read_mesh(groundtruth / "mesh_gt.ply"), scores["fscore"]
     compare(result.mesh, truth, images, picture, capture.name, fscore)
     print(f"{picture}: a picture of it")
-
-
-def _fuse_depth(capture: Capture, directory: Path) -> None:
-    """Ground truth from the source's own depth, if it has any; the mesh is there without it."""
-    frames, unreadable = [], []
-    for i in range(len(capture.frames)):
-        try:
-            if capture.depth(i) is not None:
-                frames.append(i)
-        except TFLabError as error:
-            unreadable.append(error)
-    if unreadable:
-        print(f"{len(unreadable)} depth maps are left out; the first: {unreadable[0]}")
-    if not frames:
-        return
-    try:
-        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames)
-    except TFLabError as error:
-        print(f"not scored, because the depth cannot be fused: {error}")
 
 
 def _in_source_frame(mesh: trimesh.Trimesh, capture: Capture) -> trimesh.Trimesh:

@@ -29,5 +29,11 @@ def run(config: ReportConfig) -> None:
         from tf_lab.reporting.gallery import draw_pictures  # imports trimesh
 
         pictures = draw_pictures(study, output / "pictures")
+    if config.pages:
+        from tf_lab.reporting.pages import write_pages  # imports trimesh
+
+        write_pages(study, describe(study), remarks, output)
     print(describe(study), *remarks, markdown(short_table(study)), summary(study), sep="\n\n")
-    print(f"\n{output}: tables.md, orderings.md, charts, and {pictures} pictures of test scenes")
+    pages = "report.html, " * config.pages
+    files = f"{pages}tables.md, orderings.md, charts, and {pictures} pictures of test scenes"
+    print(f"\n{output}: {files}")

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from tf_lab.config.groups import OnlineSettings
-from tf_lab.config.schema import NetworkSettings, ReconstructConfig, TrainConfig
+from tf_lab.config.schema import CaptureConfig, NetworkSettings, TrainConfig
 from tf_lab.network.checkpoint import shipped_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.settings import EncoderSettings
@@ -64,7 +64,7 @@ def reconstruction_settings(
     )
 
 
-def capture_settings(config: TrainConfig | ReconstructConfig) -> ReconstructionSettings:
+def capture_settings(config: TrainConfig | CaptureConfig) -> ReconstructionSettings:
     """How captures are reconstructed at test time."""
     return reconstruction_settings(
         config.online,

@@ -27,6 +27,7 @@ from tf_lab.data.reading import ReadSettings
 from tf_lab.data.settings import MOST_SIDE, PhotometricSettings
 from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.settings import Content
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
@@ -160,8 +161,8 @@ class PrepareConfig:
 
 
 @dataclass(frozen=True)
-class ReconstructConfig(InferenceSettings, ReadSettings):
-    """python -m tf_lab.reconstruct"""
+class CaptureConfig(InferenceSettings, ReadSettings):
+    """A capture and the network that reconstructs it."""
 
     data: Any = MISSING
     select: Any = MISSING
@@ -176,20 +177,51 @@ class ReconstructConfig(InferenceSettings, ReadSettings):
         "model.safetensors of a training run; null: the one that comes with tf_lab",
         kind="path",
     )
-    output: str | None = setting(
-        None, "the mesh; null: outputs/reconstructions/<path of the input>.ply", kind="path"
-    )
-    method: str = setting(
-        "network", "or plane_sweep: classical stereo at the same image size, to compare with"
-    )
     check: bool = setting(
         True, "warn of cameras that are clearly wrong (python -m tf_lab.check says more)"
+    )
+    seed: int = setting(0, "of select=rnd", least=0, most=MOST_SEED)
+    device: str = setting("auto", "auto, cpu, cuda")
+
+
+@dataclass(frozen=True)
+class ReconstructConfig(CaptureConfig):
+    """python -m tf_lab.reconstruct"""
+
+    output: str | None = setting(
+        None,
+        "the mesh, .ply or .glb; null: outputs/reconstructions/<path of the input>.ply",
+        kind="path",
+    )
+    decimate: float = setting(1.0, "share of the mesh's faces that is written", above=0, most=1)
+    method: str = setting(
+        "network", "or plane_sweep: classical stereo at the same image size, to compare with"
     )
     source_frame: bool = setting(
         False, "write the mesh in the source's world instead of the z-up one"
     )
-    seed: int = setting(0, "of select=rnd", least=0, most=MOST_SEED)
-    device: str = setting("auto", "auto, cpu, cuda")
+
+
+@dataclass(frozen=True)
+class ViewConfig(CaptureConfig):
+    """python -m tf_lab.view"""
+
+    run: str | None = setting(
+        None, "a run's folder: its test scene, with its network and settings", kind="path"
+    )
+    scene: str | None = setting(None, "which test scene of the run; null: the first")
+    mesh: Any = setting(
+        None, "a mesh, or a list of such side by side, as it is", kind="path", several=True
+    )
+    groundtruth: str | None = setting(
+        None, "a mesh to compare with; null: the input's own, if it has any", kind="path"
+    )
+    play: bool = setting(True, "add frames as soon as somebody looks")
+    port: int = setting(8080, "of this machine, on which the page is", least=0, most=65535)
+
+    def __post_init__(self) -> None:
+        if sum(x is not None for x in (self.input, self.run, self.mesh)) > 1:
+            raise TFLabError("give one of input=, run= and mesh=")
 
 
 @dataclass(frozen=True)
@@ -231,6 +263,7 @@ class ReportConfig:
     pictures: bool = setting(
         True, "draw each test scene under every row, where the runs have meshes"
     )
+    pages: bool = setting(True, "the study and each run as one HTML file, to open offline or mail")
     keep: bool = setting(False, "copy the runs' small files to OUTPUT/runs, to be committed")
 
 
@@ -264,6 +297,7 @@ COMMANDS: dict[str, type] = {
     "check": CheckConfig,
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
+    "view": ViewConfig,
     "benchmark": BenchmarkConfig,
 }
 OPTIONS: dict[tuple[str, str], type] = {

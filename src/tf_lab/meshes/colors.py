@@ -18,6 +18,7 @@ def color_vertices(
     K: Tensor,
     world_T_cam: Tensor,
     tolerance: float = 0.05,
+    occluders: np.ndarray | None = None,
 ) -> None:
     """Give the vertices the mean colour of the images that see them, in place.
 
@@ -27,17 +28,20 @@ def color_vertices(
         K: [N, 3, 3].
         world_T_cam: [N, 4, 4].
         tolerance: a vertex this much (metres) behind the surface that an image sees is hidden.
+        occluders: [P, 3], metres: points of other surfaces that may hide the mesh, densely.
     """
     vertices = torch.from_numpy(np.asarray(mesh.vertices)).float()
+    others = np.empty((0, 3)) if occluders is None else occluders
+    points = torch.cat([vertices, torch.from_numpy(others).float()])
     total, weight = torch.zeros(len(vertices), 3), torch.zeros(len(vertices), 1)
     for image, k, pose in zip(images, K, world_T_cam, strict=True):
         size = (image.shape[2], image.shape[1])
-        uv, depth = project(vertices, k, invert_pose(pose))
+        uv, depth = project(points, k, invert_pose(pose))
         u, v = uv.round().long().unbind(-1)
         seen = (depth > 0.1) & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
         index = seen.nonzero().squeeze(1)
         nearest = _depth_of_points(u[index], v[index], depth[index], size)
-        index = index[depth[index] < nearest + tolerance]
+        index = index[(depth[index] < nearest + tolerance) & (index < len(vertices))]
         color = sample_maps(image[None].float(), uv[None, index], size)[0]
         w = 1 / depth[index, None].clamp(min=0.3) ** 2  # near views are sharper
         total[index] += w * color

@@ -9,12 +9,11 @@ import numpy as np
 import trimesh
 
 from tf_lab.errors import TFLabError
-
-FAR = 1000.0  # metres; single precision is worth 0.1 mm there
+from tf_lab.meshes.glb import FAR, vertex_colors
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """A PLY mesh with its vertices as stored; it may have no faces, or be empty.
+    """A PLY mesh, its vertices and their colours as stored; it may have no faces, or be empty.
 
     Raises:
         TFLabError: the file is missing, not a PLY, cut short, or holds impossible values.
@@ -39,7 +38,8 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         raise TFLabError(f"{path}: a vertex is NaN or infinite; remove such vertices")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise TFLabError(f"{path}: a face refers to a vertex that does not exist; write it again")
-    return trimesh.Trimesh(vertices, faces, process=False)
+    colors = vertex_colors(loaded) if isinstance(loaded, trimesh.Trimesh) else None
+    return trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)
 
 
 def write_mesh(mesh: trimesh.Trimesh, path: Path) -> None:

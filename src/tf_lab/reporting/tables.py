@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from tf_lab.evaluation.registry import MetricPart, metric_columns
+from tf_lab.evaluation.scores import mean_scores
 from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
 from tf_lab.reporting.orderings import ORDERINGS, difference, verdict
 from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
+from tf_lab.reporting.results import Run
 from tf_lab.reporting.statistics import Estimate, deviation
 from tf_lab.reporting.studies import Study
 
@@ -212,3 +214,16 @@ def runs_table(study: Study, row: str | None = None) -> Table:
         for scene, scores in study.runs[name, seed].scenes.items()
     ]
     return Table("runs", "Every run and scene.", columns, (tuple(body),))
+
+
+def run_table(run: Run) -> Table:
+    """A run's scores by test scene, and their mean."""
+    parts = metric_columns(name for scores in run.scenes.values() for name in scores)
+    everywhere = [p.name for p in parts if all(p.name in s for s in run.scenes.values())]
+    mean = mean_scores({name: s[name] for name in everywhere} for s in run.scenes.values())
+    body: list[Row] = [
+        (scene, *(Number(scores.get(p.name), p.format) for p in parts))
+        for scene, scores in {**run.scenes, "mean": mean}.items()
+    ]
+    columns = (Column("scene", "Scene"), *_metrics(parts))
+    return Table("run", "Distances in cm.", columns, (tuple(body[:-1]), (body[-1],)))

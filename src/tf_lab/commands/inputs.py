@@ -1,0 +1,89 @@
+"""Inputs of the commands that reconstruct: captures, and the ground truth that they bring."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tf_lab.config.schema import CaptureConfig
+from tf_lab.data.capture import Capture
+from tf_lab.data.diagnosis import quick_warning
+from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
+from tf_lab.data.readers import open_capture
+from tf_lab.data.reading import ReadSettings
+from tf_lab.data.resize import Resized
+from tf_lab.data.scene import Scene
+from tf_lab.data.settings import MOST_SIDE
+from tf_lab.data.sources.source import open_source
+from tf_lab.errors import TFLabError
+from tf_lab.support.records import record
+
+
+def open_input(config: CaptureConfig, info: dict[str, Any]) -> Capture:
+    """The input at the image size that the checkpoint was trained at; a test room without one."""
+    if config.input is None:
+        rooms = open_source(config.data).scenes("test")["test"]
+        return Scene(next(iter(rooms.values())))
+    settings = ReadSettings.part_of(config)
+    capture = open_capture(Path(config.input), settings)
+    warning = quick_warning(capture, settings) if config.check else None
+    if warning is not None:
+        print(f"warning: {config.input}: {warning}", file=sys.stderr)
+    size = _trained_size(info)
+    return Resized(capture, size) if size else capture
+
+
+def _trained_size(info: dict[str, Any]) -> tuple[int, int] | None:
+    """The (width, height) of the images that a checkpoint was trained at, if it says so.
+
+    Raises:
+        TFLabError: it says something else.
+    """
+    try:
+        data = info["training"]["config"]["data"]
+        size = record(tuple[int, int], [data["width"], data["height"]], "image size")
+    except (KeyError, TypeError):
+        return None
+    except ValueError as error:
+        raise TFLabError(f"the checkpoint's {error}; train it again") from error
+    if not all(1 <= side <= MOST_SIDE for side in size):
+        raise TFLabError(f"the checkpoint's image size {size} is impossible; train it again")
+    return size
+
+
+@contextmanager
+def own_groundtruth(capture: Capture) -> Iterator[Path | None]:
+    """A folder with a capture's ground truth, for as long as it is used.
+
+    It is what the scene brings, or fused from the source's own depth; None without either.
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        directory = Path(temporary)
+        if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
+            directory = capture.groundtruth
+        else:
+            _fuse_depth(capture, directory)
+        yield directory if (directory / "mesh_gt.ply").exists() else None
+
+
+def _fuse_depth(capture: Capture, directory: Path) -> None:
+    """Ground truth from the source's own depth, if it has any; the mesh is there without it."""
+    frames, unreadable = [], []
+    for i in range(len(capture.frames)):
+        try:
+            if capture.depth(i) is not None:
+                frames.append(i)
+        except TFLabError as error:
+            unreadable.append(error)
+    if unreadable:
+        print(f"{len(unreadable)} depth maps are left out; the first: {unreadable[0]}")
+    if not frames:
+        return
+    try:
+        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames)
+    except TFLabError as error:
+        print(f"not scored, because the depth cannot be fused: {error}")

@@ -1,0 +1,107 @@
+"""Look at a reconstruction in the browser."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import trimesh
+
+from tf_lab.commands.inputs import open_input, own_groundtruth
+from tf_lab.config.build import capture_settings, ready
+from tf_lab.config.schema import ViewConfig
+from tf_lab.data.capture import Capture
+from tf_lab.data.keyframes import select_keyframes
+from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
+from tf_lab.errors import TFLabError
+from tf_lab.meshes.files import read_mesh
+from tf_lab.meshes.glb import read_glb
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.reporting.results import read_run
+from tf_lab.support.devices import device_of
+from tf_lab.viewer.live import show_session
+from tf_lab.viewer.paint import Truth
+from tf_lab.viewer.serve import LocalServer
+from tf_lab.viewer.still import show_meshes
+
+
+def run(config: ViewConfig) -> None:
+    """Serve the page until somebody interrupts."""
+    server = LocalServer(config.port)  # told before anything that takes long
+    if config.mesh is not None:
+        paths = [config.mesh] if isinstance(config.mesh, str) else config.mesh
+        meshes = {path: _read(Path(path)) for path in paths}
+        truth = None if config.groundtruth is None else _read(Path(config.groundtruth))
+        show_meshes(server, meshes, truth)
+        server.wait()
+        return
+    capture = None
+    if config.run is not None:
+        config, capture = _of_run(config, Path(config.run))
+    checkpoint = Path(config.checkpoint) if config.checkpoint else shipped_checkpoint()
+    network, info = load_network(checkpoint)
+    network = ready(network, config.online, device_of(config.device))
+    capture = capture or open_input(config, info)
+    settings = capture_settings(config)
+    frames = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
+    session = show_session(
+        server, network, capture, frames, settings, _truth_of(capture, config.groundtruth)
+    )
+    if config.play:
+        first = threading.Event()
+
+        @server.on_client_connect
+        def _(_: Any) -> None:
+            if not first.is_set():
+                first.set()
+                session.play(True)
+
+    session.start()
+    server.wait()
+
+
+def _read(path: Path) -> trimesh.Trimesh:
+    """A mesh of either kind that `tf_lab.reconstruct` writes."""
+    return read_glb(path) if path.suffix == ".glb" else read_mesh(path)
+
+
+def _of_run(config: ViewConfig, directory: Path) -> tuple[ViewConfig, Capture]:
+    """A run's network and settings as a config, and one of its test scenes.
+
+    Raises:
+        TFLabError: they are not on this machine.
+    """
+    run = read_run(directory)
+    name = config.scene or next(iter(run.scenes))
+    if name not in run.scenes:
+        raise TFLabError(f"scene={name}: {directory} has {', '.join(run.scenes)}")
+    checkpoint = config.checkpoint or run.makers[0].get("checkpoint")
+    there = open_source(run.config.data).directory(name, run.makers[0].get("scenes", {}).get(name))
+    for what, path in (("checkpoint", checkpoint), ("test scene", there)):
+        if path is None or not Path(path).exists():
+            raise TFLabError(f"{directory}: its {what} ({path}) is not on this machine")
+    names = ("views", "resolution", "threshold", "keyframe_distance", "select", "online")
+    of_run = {name: getattr(run.config, name) for name in names}
+    return replace(config, checkpoint=checkpoint, **of_run), Scene(there)
+
+
+def _truth_of(capture: Capture, path: str | None) -> Any:
+    """What gives a capture's ground truth, made once, when it is first asked for."""
+    lock = threading.Lock()
+
+    @cache
+    def make() -> Truth | None:
+        if path is not None:
+            return Truth(_read(Path(path)))
+        with own_groundtruth(capture) as directory:
+            return None if directory is None else Truth(read_mesh(directory / "mesh_gt.ply"))
+
+    def truth() -> Truth | None:
+        with lock:
+            return make()
+
+    return truth

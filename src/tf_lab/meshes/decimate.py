@@ -1,0 +1,33 @@
+"""Smaller meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from tf_lab.errors import TFLabError
+from tf_lab.meshes.glb import vertex_colors
+
+
+def decimated(mesh: trimesh.Trimesh, share: float) -> trimesh.Trimesh:
+    """A mesh with about a share of its faces (quadric error metrics, Garland & Heckbert 1997).
+
+    Its vertices have the colours of those that were nearest.
+
+    Raises:
+        TFLabError: fast-simplification is not installed.
+    """
+    if share >= 1 or not len(mesh.faces):
+        return mesh
+    try:
+        smaller = mesh.simplify_quadric_decimation(percent=1 - share)
+    except ImportError as error:
+        raise TFLabError("decimate= needs fast-simplification: pip install it") from error
+    colors = vertex_colors(mesh)
+    if colors is None:
+        return trimesh.Trimesh(smaller.vertices, smaller.faces, process=False)
+    nearest = cKDTree(np.asarray(mesh.vertices)).query(np.asarray(smaller.vertices))[1]
+    return trimesh.Trimesh(
+        smaller.vertices, smaller.faces, vertex_colors=colors[nearest], process=False
+    )

@@ -1,0 +1,120 @@
+"""A study and each of its runs as pages to open offline or to mail."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from tf_lab.config.stored import portable_config
+from tf_lab.experiments.provenance import without_places
+from tf_lab.meshes.files import read_mesh
+from tf_lab.reporting.charts import rows_chart, views_chart
+from tf_lab.reporting.gallery import mesh_path, preview, scene_runs
+from tf_lab.reporting.html import (
+    chart,
+    code,
+    folded,
+    page,
+    paragraph,
+    picture,
+    section,
+    table_html,
+)
+from tf_lab.reporting.mesh_view import mesh_view
+from tf_lab.reporting.orderings import summary
+from tf_lab.reporting.results import Run
+from tf_lab.reporting.studies import Study
+from tf_lab.reporting.tables import (
+    comparison_table,
+    inputs_table,
+    main_table,
+    orderings_table,
+    run_table,
+    scene_table,
+    seed_table,
+)
+from tf_lab.support.files import atomic_path
+
+PICTURE = 900  # pixels across
+
+
+def write_pages(study: Study, about: str, remarks: Sequence[str], output: Path) -> None:
+    """Write ``report.html`` and ``pages/<run>.html``; ``about`` says what was run."""
+    _write(output / "report.html", study_page(study, about, remarks, output / "pictures"))
+    for run in study.runs.values():
+        _write(output / "pages" / f"{run.directory.name}.html", run_page(run))
+
+
+def study_page(study: Study, about: str, remarks: Sequence[str], pictures: Path) -> str:
+    """All of a study: tables, charts, the pictures that there are, a mesh, and its settings."""
+    drawn = [path for scene in study.scenes if (path := pictures / f"{scene}.png").exists()]
+    shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
+    mesh = ""
+    if shown:
+        scene, runs = next(iter(shown.items()))
+        row, run = next(iter(runs.items()))
+        caption = paragraph(f"{scene}, {row}, seed {run.seed}")
+        mesh = caption + mesh_view(read_mesh(mesh_path(run, scene)))
+    return page(
+        f"Study {study.key}",
+        paragraph(about),
+        *map(paragraph, remarks),
+        section("Results", table_html(main_table(study))),
+        section(
+            "Charts",
+            chart(views_chart(study), "F-score against K, the views kept a voxel"),
+            chart(rows_chart(study), "F-score of every row"),
+        ),
+        section("A mesh", mesh),
+        section("Test scenes", *(_preview(path) for path in drawn)),
+        section("Orderings", code(summary(study)), table_html(orderings_table(study))),
+        section("Inputs", table_html(inputs_table(study))),
+        section("Tests against ours", table_html(comparison_table(study))),
+        section("Seeds", table_html(seed_table(study))),
+        section("Scenes", table_html(scene_table(study))),
+        section("Settings", folded("What all runs share", _yaml(study.settings))),
+        section("Runs", folded("The command of each", _commands(study))),
+    )
+
+
+def run_page(run: Run) -> str:
+    """All of a run: scores, pictures, a mesh, the command, settings, and where it was made."""
+    pictures = [run.directory / "pictures" / f"{scene}.png" for scene in run.scenes]
+    meshes = [mesh_path(run, scene) for scene in run.scenes]
+    first = next((path for path in meshes if path.exists()), None)
+    view = "" if first is None else paragraph(first.stem) + mesh_view(read_mesh(first))
+    origin = without_places(run.makers[0])
+    return page(
+        f"{run.row}, seed {run.seed}",
+        paragraph(run.directory.name),
+        section("Scores", table_html(run_table(run))),
+        section("A mesh", view),
+        section("Test scenes", *(_preview(path) for path in pictures if path.exists())),
+        section("The command that repeats it", code(str(origin.get("command", "unknown")))),
+        section("Settings", folded("config.yaml", _yaml(portable_config(run.config)))),
+        section("Where it was made", folded("run.json", json.dumps(origin, indent=2))),
+    )
+
+
+def _preview(path: Path) -> str:
+    return picture(preview(path, PICTURE), "jpeg", path.stem)
+
+
+def _commands(study: Study) -> str:
+    lines = (
+        f"{run.row}, seed {run.seed}\n  {without_places(run.makers[0]).get('command', 'unknown')}"
+        for run in study.runs.values()
+    )
+    return "\n".join(lines)
+
+
+def _yaml(values: dict[str, object]) -> str:
+    return yaml.safe_dump(values, sort_keys=False)
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

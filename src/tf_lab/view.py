@@ -1,0 +1,14 @@
+"""Watch a reconstruction grow in the browser, or look at a run or at meshes.
+
+python -m tf_lab.view [input=DIR | run=DIR | mesh=FILE] [checkpoint=FILE] [port=N]
+
+Without any it reconstructs a test room. The page is for this machine only; the command prints its
+address and how to see it from another.
+"""
+
+from tf_lab.cli.command import command
+
+main = command("view", __doc__, "tf_lab.commands.view:run")
+
+if __name__ == "__main__":
+    main()

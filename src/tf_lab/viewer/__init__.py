@@ -1,0 +1,1 @@
+"""Looking at reconstructions in the browser: sessions that know no page, and the page."""

@@ -1,0 +1,48 @@
+"""What colours say in the viewer, the same in the scene, in thumbnails and in legends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tf_lab.evaluation.pictures import ERROR_COLORS, ERROR_SCALE
+
+LOW, HIGH = np.array([33, 102, 220]), np.array([214, 39, 40])  # of weights: blue, red
+
+
+def weight_colors(weights: np.ndarray) -> np.ndarray:
+    """Attention weights [N] from blue (none) to red (the greatest of them): uint8 [N, 3]."""
+    share = np.asarray(weights, float) / max(float(np.max(weights, initial=0)), 1e-12)
+    return np.round(LOW + (HIGH - LOW) * share[:, None]).astype(np.uint8)
+
+
+def frame_colors(frames: np.ndarray, total: int) -> np.ndarray:
+    """Frames [N] of ``total`` along the trajectory, as uint8 [N, 3]; grey where it is -1."""
+    colors = _mapped("turbo", 0.05 + 0.9 * np.asarray(frames) / max(total - 1, 1))
+    return np.where((np.asarray(frames) < 0)[:, None], np.uint8(128), colors)
+
+
+def error_colors(errors: np.ndarray) -> np.ndarray:
+    """Distances [N] (metres) to the ground truth, as in the pictures of runs: uint8 [N, 3]."""
+    return _mapped(ERROR_COLORS, errors / ERROR_SCALE)
+
+
+def gradient(which: str) -> str:
+    """A colour scale as a CSS gradient, from left to right."""
+    steps = np.linspace(0, 1, 9)
+    colors = {
+        "error": error_colors(steps * ERROR_SCALE),
+        "view": frame_colors(np.arange(9), 9),
+        "weight": weight_colors(steps),
+    }[which]
+    return f"linear-gradient(to right,{','.join(map(css, colors))})"
+
+
+def css(color: np.ndarray) -> str:
+    """A colour [3] for a style sheet."""
+    return "#{:02x}{:02x}{:02x}".format(*(int(c) for c in color))
+
+
+def _mapped(name: str, values: np.ndarray) -> np.ndarray:
+    import matplotlib  # a second
+
+    return np.round(255 * matplotlib.colormaps[name](np.asarray(values))[..., :3]).astype(np.uint8)

@@ -1,0 +1,102 @@
+"""Colours of a growing mesh, chunk by chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import trimesh
+from scipy.spatial import cKDTree
+
+from tf_lab.errors import TFLabError
+from tf_lab.geometry import FINE
+from tf_lab.meshes.colors import color_vertices
+from tf_lab.meshes.glb import vertex_colors
+from tf_lab.meshes.raycast import CLAY
+from tf_lab.viewer.colors import error_colors, frame_colors
+from tf_lab.viewer.growth import Growth
+
+FRAMES = 24  # that paint a chunk, evenly chosen of those that see it
+SPARSE = 3  # every so many of the other chunks' vertices hide what is behind them
+SAMPLES = 200_000  # points on the ground truth
+
+
+class Truth:
+    """The ground truth: a mesh in metres, and distances to it."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self.mesh = mesh
+        points, _ = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
+        self._tree = cKDTree(np.asarray(points))
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """From points [P, 3] to the surface: [P], metres."""
+        return np.asarray(self._tree.query(points)[0])
+
+
+def by_images(growth: Growth, piece: trimesh.Trimesh) -> np.ndarray:
+    """As the frames see it: uint8 [V, 3]."""
+    frames = growth.reconstructor.frames
+    chosen = seeing(growth, piece.bounds)
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, FRAMES).round().astype(int))]
+    others = [np.asarray(p.vertices)[::SPARSE] for p in growth.pieces.values() if p is not piece]
+    painted = piece.copy()
+    color_vertices(
+        painted,
+        [frames.images[i] for i in chosen],
+        torch.stack([frames.poses[i][0] for i in chosen]),
+        torch.stack([frames.poses[i][1] for i in chosen]),
+        occluders=np.concatenate([np.empty((0, 3)), *others]),
+    )
+    colors = vertex_colors(painted)
+    assert colors is not None
+    return colors
+
+
+def by_best_view(growth: Growth, piece: trimesh.Trimesh, total: int) -> np.ndarray:
+    """The frame of greatest weight at each vertex, as its colour along the trajectory."""
+    voxels, which = np.unique(
+        np.floor(np.asarray(piece.vertices) / FINE), axis=0, return_inverse=True
+    )
+    frames, weights = growth.reconstructor.view_weights((voxels + 0.5) * FINE)
+    best = np.take_along_axis(frames, weights.argmax(1)[:, None], 1)[:, 0]
+    sources = np.array([*growth.sources, -1])  # the last: none
+    return frame_colors(sources[best][which.reshape(-1)], total)
+
+
+def by_error(truth: Truth, piece: trimesh.Trimesh) -> np.ndarray:
+    """The distance of each vertex to the ground truth."""
+    return error_colors(truth.distances(np.asarray(piece.vertices)))
+
+
+def clay(piece: trimesh.Trimesh) -> np.ndarray:
+    """One colour."""
+    return np.tile(np.round(255 * np.array(CLAY)).astype(np.uint8), (len(piece.vertices), 1))
+
+
+def painter(
+    mode: str, growth: Growth, total: int, truth: Callable[[], Truth | None]
+) -> Callable[[trimesh.Trimesh], np.ndarray]:
+    """What gives pieces of a mesh their colours (uint8 [V, 3]) in a mode of `MODES`."""
+    if mode == "image":
+        return lambda piece: by_images(growth, piece)
+    if mode == "best view":
+        return lambda piece: by_best_view(growth, piece, total)
+    if mode == "error":
+        known = truth()
+        if known is None:
+            raise TFLabError("there is no ground truth: no error can be shown")
+        return lambda piece: by_error(known, piece)
+    return clay
+
+
+MODES = ("image", "best view", "error", "clay")
+
+
+def seeing(growth: Growth, bounds: np.ndarray) -> np.ndarray:
+    """Numbers of the frames whose frustum may touch the ball around a box [2, 3] (metres)."""
+    planes = growth.reconstructor.frames.cameras["planes"].cpu().numpy()
+    radius = np.linalg.norm(bounds[1] - bounds[0]) / 2
+    inside = planes[..., :3] @ bounds.mean(0) + planes[..., 3]
+    return np.flatnonzero((inside >= -radius).all(1))
