@@ -98,6 +98,8 @@ def test_a_second_start_reuses_all(train: Train) -> None:
     first = train()
     metrics = first.path("run") / "metrics.json"
     before = metrics.stat().st_mtime_ns
+    (details,) = json.loads(metrics.read_text())["details"].values()
+    assert 0 <= details["view_sets"]["visible"] <= 1
     second = train()
     assert f"reusing the identical finished evaluation {first.path('run')}" in second.out
     assert "note: " not in second.out

@@ -9,7 +9,7 @@ from helpers import box_room
 from helpers.online.scenes import FRAMES, Factory, reconstruct
 from tf_lab.data.scene import Scene
 from tf_lab.online.reconstructor import Reconstructor
-from tf_lab.online.views.statistics import view_sets
+from tf_lab.online.views.statistics import ViewSets, view_sets
 
 DEPTHS = [torch.from_numpy(box_room.depth_image(box_room.poses()[i])).float() for i in FRAMES]
 
@@ -81,6 +81,12 @@ def test_spread_and_variety_by_hand(tiny_network: Factory, scene: Scene) -> None
         )
     assert found.spread == pytest.approx(np.degrees(np.mean(angles)), abs=1e-3)
     assert found.variety == pytest.approx(np.mean(counts))
+
+
+def test_of_no_voxels_nothing_is_said(tiny_network: Factory, scene: Scene) -> None:
+    r = reconstruct(tiny_network(), scene, views=2)
+    nothing = view_sets(r.coarse, torch.empty(0, dtype=torch.int64), DEPTHS)
+    assert nothing == ViewSets(0, 0, 0, 0, 0, 0)
 
 
 def test_unknown_depth_counts_neither_way(tiny_network: Factory, scene: Scene) -> None:

@@ -16,14 +16,14 @@ from tf_lab.online.lattice.level import Level
 
 @dataclass(frozen=True)
 class ViewSets:
-    """Means over voxels that hold views.
+    """Means over voxels that hold views; 0 where there are none.
 
     Attributes:
         voxels: how many.
         views: held by a voxel.
         visible: share of the held views that truly see the voxel.
         visible_of_all: the same of all views whose frustum holds it.
-        spread: angle between two held viewing directions, degrees; 0 where no voxel holds two.
+        spread: angle between two held viewing directions, degrees.
         variety: different views held in the 3x3x3 neighbourhood.
     """
 
@@ -52,12 +52,16 @@ def view_sets(level: Level, rows: Tensor, depths: Iterable[Tensor]) -> ViewSets:
     held_sees = held_known & sees.gather(1, held.clamp(min=0))
     return ViewSets(
         voxels=len(rows),
-        views=float(filled.sum(1).float().mean()),
+        views=_mean(filled.sum(1)),
         visible=_share(held_sees, held_known),
         visible_of_all=_share(sees, known),
         spread=_spread(level, rows, held, filled),
-        variety=float(_variety(level, rows).float().mean()),
+        variety=_mean(_variety(level, rows)),
     )
+
+
+def _mean(values: Tensor) -> float:
+    return float(values.sum()) / max(1, len(values))
 
 
 def _share(part: Tensor, whole: Tensor) -> float:
@@ -88,7 +92,7 @@ def _spread(level: Level, rows: Tensor, held: Tensor, filled: Tensor) -> float:
     pairs = (filled[:, :, None] & filled[:, None]).triu(1)
     count = pairs.sum((1, 2))
     mean = (angle * pairs).sum((1, 2))[count > 0] / count[count > 0]
-    return math.degrees(float(mean.sum()) / max(1, len(mean)))
+    return math.degrees(_mean(mean))
 
 
 def _variety(level: Level, rows: Tensor, batch: int = 1 << 14) -> Tensor:
