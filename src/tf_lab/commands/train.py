@@ -43,8 +43,8 @@ log = logging.getLogger(__name__)
 def run(config: TrainConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     torch.set_float32_matmul_precision("high")
-    # what is wrong is told before data is made
-    check_network(config), config.training.chunk, capture_settings(config)
+    check_network(config)  # what is wrong is told before data is made
+    config.training.chunk, capture_settings(config)
     config = identified(config)
     start = time.time()
     run = run_directory(config)
