@@ -30,6 +30,7 @@ from tf_lab.experiments.reuse import commits_of, sessions_of
 from tf_lab.support.files import remove_directory
 from tf_lab.support.stops import stoppable
 from tf_lab.support.tables import NOTHING, aligned
+from tf_lab.support.text import read_text
 
 
 def main() -> None:
@@ -107,7 +108,9 @@ def listing(output: Path) -> str:
         score = f"{entry.fscore:.3f}" if entry.fscore is not None else none
         second.append([*_start(entry), score, entry.label])
     tables = {TRAININGS: aligned(first, "l"), RUNS: aligned(second, "l")}
-    return "\n\n".join(f"{output / name}:\n{table}" for name, table in tables.items())
+    parts = [f"{output / name}:\n{table}" for name, table in tables.items()]
+    wrong = [line for entry in (*trainings, *runs) for line in entry.problems]
+    return "\n\n".join([*parts, *(["cannot be read:\n" + "\n".join(wrong)] if wrong else [])])
 
 
 def _start(entry: Entry) -> list[str]:
@@ -128,8 +131,10 @@ def details(entry: Entry) -> str:
         training = entry.origin["training"]
         known["training"] = {k: v for k, v in training.items() if k != "config"}
     lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
+    lines += ["", "cannot be read:", *entry.problems] if entry.problems else []
     path = entry.directory / "config.yaml"
-    lines += ["", "config:", path.read_text(encoding="utf-8").rstrip()] if path.exists() else []
+    if entry.config:
+        lines += ["", "config:", read_text(path, "the settings of a run").rstrip()]
     return "\n".join(lines)
 
 

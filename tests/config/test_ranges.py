@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tf_lab.config.build import check_network
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.typed import typed
@@ -110,3 +111,10 @@ def test_what_a_network_cannot_be(change: dict[str, Any], expected: str) -> None
     NetworkConfig(**sizes)  # type: ignore[arg-type]
     with pytest.raises(TFLabError, match=expected):
         NetworkConfig(**{**sizes, **change})  # type: ignore[arg-type]
+
+
+def test_a_network_larger_than_the_machine() -> None:
+    check_network(config())
+    huge = replace(config(), model=replace(config().model, width=8192, blocks=16))
+    with pytest.raises(TFLabError, match=r"blocks=16: to train the network takes"):
+        check_network(huge)

@@ -31,7 +31,7 @@ from tf_lab.online import Reconstructor
 from tf_lab.reporting.gallery import draw_pictures
 from tf_lab.reporting.results import find_runs
 from tf_lab.reporting.studies import open_study
-from tf_lab.runs import listing
+from tf_lab.runs import details, listing
 from tf_lab.support.arrays import read_array, read_arrays
 
 OUTSIDE = "../../../../outside"
@@ -79,8 +79,11 @@ def test_one_damaged_run_is_told_and_the_others_stay(
     (line,) = damaged
     assert "\n" not in line
     assert re.search(expected, line), line
-    assert len(find_entries(tmp_path)) == 2
-    assert good.name in listing(tmp_path)
+    listed = listing(tmp_path)
+    assert good.name in listed
+    assert re.search(expected, listed.partition("cannot be read:")[2]), listed
+    for entry in find_entries(tmp_path):
+        assert bool(re.search(expected, details(entry))) == (entry.directory == bad)
 
 
 def test_a_scene_named_as_a_path_is_drawn_in_its_folder(tmp_path: Path) -> None:

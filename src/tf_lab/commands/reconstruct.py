@@ -44,6 +44,7 @@ def run(config: ReconstructConfig) -> None:
     if config.method not in METHODS:
         raise TFLabError(f"method={config.method}: choose {' or '.join(METHODS)}")
     network = ready(network, config.online, device_of(config.device))
+    capture_settings(config)  # what is wrong with them is told before the capture is read
     output = _place(config)
     if output.suffix not in WRITERS:
         raise TFLabError(f"output={output}: the mesh is written as {' or '.join(WRITERS)}")

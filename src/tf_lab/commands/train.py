@@ -11,7 +11,7 @@ from pathlib import Path
 import lightning as L
 import torch
 
-from tf_lab.config.build import build_network, capture_settings, ready
+from tf_lab.config.build import capture_settings, check_network, ready
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import portable_config, write_config
 from tf_lab.data.sources.source import open_source
@@ -43,8 +43,8 @@ log = logging.getLogger(__name__)
 def run(config: TrainConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     torch.set_float32_matmul_precision("high")
-    # what is wrong is told before data is made
-    build_network(config), config.training.chunk, capture_settings(config)
+    check_network(config)  # what is wrong is told before data is made
+    config.training.chunk, capture_settings(config)
     config = identified(config)
     start = time.time()
     run = run_directory(config)

@@ -17,6 +17,9 @@ from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.devices import device_of
+from tf_lab.support.memory import check_memory
+
+TRAINED_BYTES = 16  # a weight, its gradient and Adam's two moments
 
 
 def build_network(config: NetworkSettings) -> Network:
@@ -35,6 +38,22 @@ def build_network(config: NetworkSettings) -> Network:
             refine=config.refine,
             filter=config.filter,
         )
+    )
+
+
+def check_network(config: NetworkSettings) -> None:
+    """That the network of a config can be made and trained; nothing large is made.
+
+    Raises:
+        TFLabError: it cannot be, or takes more memory than there is.
+    """
+    with torch.device("meta"):
+        weights = sum(weight.numel() for weight in build_network(config).parameters())
+    model = config.model
+    check_memory(
+        f"model.width={model.width} model.blocks={model.blocks}: to train the network",
+        TRAINED_BYTES * weights,
+        "give smaller ones",
     )
 
 

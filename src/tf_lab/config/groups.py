@@ -7,7 +7,7 @@ from typing import Any
 
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
-from tf_lab.network.settings import NetworkSizes
+from tf_lab.network.settings import MOST_FAR, NetworkSizes
 from tf_lab.online.views import POLICIES
 from tf_lab.support.settings import lists_to_tuples, setting
 
@@ -17,6 +17,10 @@ class ModelSettings(NetworkSizes):
     """The network's size (paper, Sec. 3)."""
 
     name: str = setting(about="begins the names of trainings and runs", shapes="weights")
+    near: float = setting(
+        about="metres; a view measures points from this depth", shapes="weights", least=0
+    )
+    far: float = setting(about="metres; to this depth", shapes="weights", above=0, most=MOST_FAR)
 
 
 @dataclass(frozen=True)

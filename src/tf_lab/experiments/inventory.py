@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config
@@ -14,6 +16,7 @@ from tf_lab.experiments.provenance import Origin
 from tf_lab.experiments.reuse import origin_of
 from tf_lab.support.locks import lock_holder
 
+T = TypeVar("T")
 TRAININGS, RUNS = "trainings", "runs"
 
 
@@ -28,6 +31,7 @@ class Entry:
         config: its config; None if that cannot be read.
         origin: its provenance; empty unless it is finished (an evaluation: begun).
         fscore: of a finished evaluation that has one.
+        problems: one line on each of its files that cannot be read.
     """
 
     directory: Path
@@ -36,6 +40,7 @@ class Entry:
     config: TrainConfig | None
     origin: Origin
     fscore: float | None = None
+    problems: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -67,7 +72,8 @@ def _folders(parent: Path) -> list[Path]:
 
 
 def _training(directory: Path) -> Entry:
-    config = _config(directory)
+    problems: list[str] = []
+    config = _read(read_config, directory / "config.yaml", problems)
     origin: Origin = {}
     last = directory / "last.ckpt"
     try:
@@ -81,28 +87,32 @@ def _training(directory: Path) -> Entry:
             state = f"step {step} of {config.optimizer.steps}"
         else:
             state = "unfinished"
-    except Exception:  # any damage
+    except Exception as error:  # any damage
         state = "damaged"
-    return Entry(directory, state, lock_holder(directory), config, origin)
+        problems.append(str(error) if isinstance(error, TFLabError) else f"{last}: damaged")
+    return Entry(directory, state, lock_holder(directory), config, origin, problems=tuple(problems))
 
 
 def _run(directory: Path) -> Entry:
-    config, fscore = _config(directory), None
-    origin: Origin = {}
-    try:
-        origin = origin_of(directory)
-        metrics = read_metrics(directory)
-        state = "finished" if metrics else "unfinished"
-        fscore = metrics.mean.get("fscore") if metrics else None
-    except TFLabError:
-        state = "damaged" if (directory / "metrics.json").exists() else "unfinished"
-    return Entry(directory, state, lock_holder(directory), config, origin, fscore)
+    problems: list[str] = []
+    config = _read(read_config, directory / "config.yaml", problems)
+    bad = len(problems)  # of which a run of another version is none the worse
+    origin = _read(lambda path: origin_of(path.parent), directory / "run.json", problems) or {}
+    metrics = _read(lambda path: read_metrics(path.parent), directory / "metrics.json", problems)
+    state = "damaged" if problems[bad:] else "finished" if metrics and origin else "unfinished"
+    fscore = metrics.mean.get("fscore") if metrics else None
+    user = lock_holder(directory)
+    return Entry(directory, state, user, config, origin, fscore, tuple(problems))
 
 
-def _config(directory: Path) -> TrainConfig | None:
+def _read(read: Callable[[Path], T], path: Path, problems: list[str]) -> T | None:
+    """What a file holds; None where it is missing, or damaged, which ``problems`` then says."""
+    if not path.exists():
+        return None
     try:
-        return read_config(directory / "config.yaml")
-    except TFLabError:
+        return read(path)
+    except TFLabError as error:
+        problems.append(str(error))
         return None
 
 

@@ -10,6 +10,8 @@ from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
 from tf_lab.support.settings import check_given, check_ranges, setting
 
+MOST_FAR = 50  # metres; a frustum that long holds a million coarse voxels
+
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkSizes:
@@ -29,10 +31,6 @@ class NetworkSizes:
     refine_blocks: int = setting(
         about="residual 3D-conv blocks a level", shapes="weights", least=0, most=256
     )
-    near: float = setting(
-        0.3, "metres; a view measures points from this depth", shapes="weights", least=0
-    )
-    far: float = setting(5.0, "metres; to this depth", shapes="weights", above=0, most=50)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +45,7 @@ class NetworkConfig(NetworkSizes):
         matching: whether kept tokens get evidence that the views agree; see `Agreement`.
         refine: whether 3D CNNs refine the features.
         filter: whether near-surface masks are trained and used.
+        near, far: valid depth range, metres.
 
     Raises:
         TFLabError: there is no such strategy, a size is out of its range, or the width is no
@@ -60,6 +59,8 @@ class NetworkConfig(NetworkSizes):
     matching: bool = False
     refine: bool = True
     filter: bool = True
+    near: float = setting(0.3, least=0)
+    far: float = setting(5.0, above=0, most=MOST_FAR)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fusion", asdict(FUSIONS.settings(self.fusion)))

@@ -20,7 +20,7 @@ def read_array(path: Path, cure: str) -> np.ndarray:
         TFLabError: it is missing, damaged, or holds objects.
     """
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)  # its size is held against the file
+        return np.lib.format.open_memmap(path, mode="r")  # its size is held against the file's
     except FileNotFoundError as error:
         raise TFLabError(f"{path}: missing; {cure}") from error
     except Exception as error:  # whatever the damage leads to

@@ -114,7 +114,7 @@ def read_a_scene(folder: Path) -> bool:
 def network() -> Network:
     torch.manual_seed(0)
     encoder = {
-        "width": 4, "blocks": (1, 1, 1), "stem_stride": 2, "stem_pool": False, "norm": "group",
+        "width": 4, "blocks": [1, 1, 1], "stem_stride": 2, "stem_pool": False, "norm": "group",
         "coarse_stride": 8, "fine_stride": 2, "coarse_channels": 4, "fine_channels": 4,
         "unit_norm": True,
     }  # fmt: skip
