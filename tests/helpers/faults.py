@@ -58,6 +58,7 @@ class Counts:
     Attributes:
         tries: how often it was disturbed.
         ended: how often it was done before.
+        early: tries that ended it while the interpreter started, which hears no signals yet.
         status: tries that ended with another status than they should.
         lines: tries that did not say one line where they should, or said anything where not.
         orphans: tries of which a process lived on.
@@ -71,6 +72,7 @@ class Counts:
 
     tries: int = 0
     ended: int = 0
+    early: int = 0
     status: int = 0
     lines: int = 0
     orphans: int = 0
@@ -236,6 +238,9 @@ def disturb(
         return check(status == 0, counts, "status", f"{status} undisturbed: {errors}")
     counts.tries += 1
     killed = number == signal.SIGKILL
+    if status == -number and not killed and not printed + errors:  # before Python could hear it
+        counts.early += 1
+        return False
     check(status == (-number if killed else 128 + number), counts, "status", f"{status}: {errors}")
     said = lines(errors)
     good = not said if killed else len(said) == 1 and said[0].startswith(("interr", "stopped"))
@@ -251,7 +256,11 @@ def disturb(
 
 def lines(errors: str) -> list[str]:
     """What a command says on standard error, progress bars apart."""
-    return [line for line in errors.splitlines() if line.strip() and "━" not in line]
+    return [
+        line
+        for line in errors.splitlines()
+        if line.strip() and "-:--:--" not in line and "━" not in line
+    ]
 
 
 def check(good: bool, counts: Counts, what: str, note: str) -> bool:

@@ -36,7 +36,7 @@ def main() -> None:
         else:
             number = signal.Signals[f"SIG{name}"]
             c = stopped(case, work, number, given.tries, bool(group), given.seed)
-        cells = [c.tries, c.status, c.lines, c.half, c.waited, c.orphans]
+        cells = [c.tries, c.early, c.status, c.lines, c.half, c.waited, c.orphans]
         cells += [f"{c.differ} of {c.compared}", f"{c.slowest:.1f}"]
         print(f"| {chosen} | {given.what} | {' | '.join(map(str, cells))} |", flush=True)
         print(f"{(time.monotonic() - began) / 60:.1f} minutes", *c.notes, sep="\n", file=sys.stderr)

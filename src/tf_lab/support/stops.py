@@ -20,6 +20,7 @@ from typing import NoReturn
 PARENT = "TF_LAB_PARENT"  # the process that a child is to end with
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 GRACE = 2.0  # seconds
+IMPORTS = "<frozen importlib"  # of the names of the interpreter's files
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 
 _stoppable = False  # whether a stop of this process is a line and a status
@@ -84,7 +85,7 @@ class _Stop:
     def hear(self, number: int, frame: FrameType | None) -> None:
         if not self.number:
             self.number = number
-            if _imports(frame):  # nothing to tidy up yet; a library cut off there may crash
+            if _is_fragile(frame):
                 self.end(number)
             raise Stopped(signal.Signals(number).name)
 
@@ -115,11 +116,18 @@ class _Stop:
             os._exit(128 + byte[0])
 
 
-def _imports(frame: FrameType | None) -> bool:
-    """Whether this is in the middle of an import."""
-    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+def _is_fragile(frame: FrameType | None) -> bool:
+    """Whether an exception here may crash the interpreter.
+
+    In an import a library would be left half set up; and threads that are waited for, such as
+    those of scipy's trees, would lose what they work on.
+    """
+    while frame is not None:
+        code = frame.f_code
+        if code is threading.Thread.join.__code__ or code.co_filename.startswith(IMPORTS):
+            return True
         frame = frame.f_back
-    return frame is not None
+    return False
 
 
 def _forked() -> None:
