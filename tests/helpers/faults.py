@@ -166,7 +166,13 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
 
 
 def stopped(
-    case: Case, folder: Path, number: signal.Signals, tries: int, group: bool = False, seed: int = 0
+    case: Case,
+    folder: Path,
+    number: signal.Signals,
+    tries: int,
+    group: bool = False,
+    seed: int = 0,
+    minutes: float = 1e6,
 ) -> Counts:
     """Send a command a signal, at a random moment, so many times.
 
@@ -177,7 +183,9 @@ def stopped(
         tries: how many.
         group: to all processes, as a terminal and a batch system do; else to the first.
         seed: of the moments.
+        minutes: fewer tries, where they take longer.
     """
+    end = time.monotonic() + 60 * minutes
     counts, rng = Counts(), random.Random(seed)
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "undisturbed").mkdir(parents=True)
@@ -186,7 +194,7 @@ def stopped(
     usual = time.monotonic() - began
     place, fresh = folder / "0", 0
     place.mkdir()
-    while counts.tries < tries:
+    while counts.tries < tries and time.monotonic() < end:
         if disturb(case, place, number, group, rng.uniform(0.02, 1.0) * usual, counts):
             compare(case, place, expected, counts)
             fresh += 1
