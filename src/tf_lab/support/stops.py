@@ -23,7 +23,7 @@ GRACE = 2.0  # seconds
 IMPORTS = "<frozen importlib"  # of the names of the interpreter's files
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 
-_stoppable = False  # whether a stop of this process is a line and a status
+_process = 0  # the process whose stop is a line and a status; its forks end with it
 
 
 class Stopped(BaseException):
@@ -43,14 +43,14 @@ def stoppable(keeps: str) -> Iterator[None]:
     Args:
         keeps: what a stop leaves behind, for the line that it prints.
     """
-    global _stoppable
+    global _process
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     stop = _Stop(keeps)
     numbers = [n for n in SIGNALS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
     before = {number: signal.signal(number, stop.hear) for number in numbers}
-    fd_before, _stoppable = signal.set_wakeup_fd(stop.pipe, warn_on_full_buffer=False), True
+    fd_before, _process = signal.set_wakeup_fd(stop.pipe, warn_on_full_buffer=False), os.getpid()
     interrupted = False
     try:
         yield
@@ -61,7 +61,7 @@ def stoppable(keeps: str) -> Iterator[None]:
             raise
     finally:
         if not stop.number:
-            _stoppable = False
+            _process = 0
             signal.set_wakeup_fd(fd_before)
             for number, handler in before.items():
                 signal.signal(number, handler)
@@ -132,11 +132,13 @@ def _is_fragile(frame: FrameType | None) -> bool:
 
 def _forked() -> None:
     """A forked child, such as a loader's worker, ends with its parent, and silently."""
-    if _stoppable:
+    global _process
+    if _process:
         signal.set_wakeup_fd(-1)
         for number in SIGNALS:
             signal.signal(number, lambda *_: os._exit(0))
-        end_with(os.getppid())
+        parent, _process = _process, os.getpid()
+        end_with(parent)  # which may be gone by now
 
 
 os.register_at_fork(after_in_child=_forked)
