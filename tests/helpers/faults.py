@@ -58,6 +58,7 @@ class Counts:
     Attributes:
         tries: how often it was disturbed.
         ended: how often it was done before.
+        early: tries that ended it while the interpreter started, which hears no signals yet.
         status: tries that ended with another status than they should.
         lines: tries that did not say one line where they should, or said anything where not.
         orphans: tries of which a process lived on.
@@ -71,6 +72,7 @@ class Counts:
 
     tries: int = 0
     ended: int = 0
+    early: int = 0
     status: int = 0
     lines: int = 0
     orphans: int = 0
@@ -164,7 +166,13 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
 
 
 def stopped(
-    case: Case, folder: Path, number: signal.Signals, tries: int, group: bool = False, seed: int = 0
+    case: Case,
+    folder: Path,
+    number: signal.Signals,
+    tries: int,
+    group: bool = False,
+    seed: int = 0,
+    minutes: float = 1e6,
 ) -> Counts:
     """Send a command a signal, at a random moment, so many times.
 
@@ -175,7 +183,9 @@ def stopped(
         tries: how many.
         group: to all processes, as a terminal and a batch system do; else to the first.
         seed: of the moments.
+        minutes: fewer tries, where they take longer.
     """
+    end = time.monotonic() + 60 * minutes
     counts, rng = Counts(), random.Random(seed)
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "undisturbed").mkdir(parents=True)
@@ -184,7 +194,7 @@ def stopped(
     usual = time.monotonic() - began
     place, fresh = folder / "0", 0
     place.mkdir()
-    while counts.tries < tries:
+    while counts.tries < tries and time.monotonic() < end:
         if disturb(case, place, number, group, rng.uniform(0.02, 1.0) * usual, counts):
             compare(case, place, expected, counts)
             fresh += 1
@@ -236,6 +246,9 @@ def disturb(
         return check(status == 0, counts, "status", f"{status} undisturbed: {errors}")
     counts.tries += 1
     killed = number == signal.SIGKILL
+    if status == -number and not killed and not printed + errors:  # before Python could hear it
+        counts.early += 1
+        return False
     check(status == (-number if killed else 128 + number), counts, "status", f"{status}: {errors}")
     said = lines(errors)
     good = not said if killed else len(said) == 1 and said[0].startswith(("interr", "stopped"))
@@ -251,7 +264,11 @@ def disturb(
 
 def lines(errors: str) -> list[str]:
     """What a command says on standard error, progress bars apart."""
-    return [line for line in errors.splitlines() if line.strip() and "━" not in line]
+    return [
+        line
+        for line in errors.splitlines()
+        if line.strip() and "-:--:--" not in line and "━" not in line
+    ]
 
 
 def check(good: bool, counts: Counts, what: str, note: str) -> bool:

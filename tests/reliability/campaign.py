@@ -22,6 +22,7 @@ def main() -> None:
     parser.add_argument("what")
     parser.add_argument("cases", nargs="*")
     parser.add_argument("--tries", type=int, default=3)
+    parser.add_argument("--minutes", type=float, default=1e6, help="a case, at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path, default=Path("/tmp/tf_lab-reliability"))
     given = parser.parse_intermixed_args()
@@ -35,8 +36,8 @@ def main() -> None:
             c = full_disk(case, work, LEVELS)
         else:
             number = signal.Signals[f"SIG{name}"]
-            c = stopped(case, work, number, given.tries, bool(group), given.seed)
-        cells = [c.tries, c.status, c.lines, c.half, c.waited, c.orphans]
+            c = stopped(case, work, number, given.tries, bool(group), given.seed, given.minutes)
+        cells = [c.tries, c.early, c.status, c.lines, c.half, c.waited, c.orphans]
         cells += [f"{c.differ} of {c.compared}", f"{c.slowest:.1f}"]
         print(f"| {chosen} | {given.what} | {' | '.join(map(str, cells))} |", flush=True)
         print(f"{(time.monotonic() - began) / 60:.1f} minutes", *c.notes, sep="\n", file=sys.stderr)

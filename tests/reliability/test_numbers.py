@@ -113,3 +113,12 @@ def test_they_are_refused_wherever_weights_are_read(
     torch.save(state, tmp_path / "last.ckpt")
     with pytest.raises(TFLabError, match=r"last.ckpt: 1 of 1 .*delete it to start"):
         train(tmp_path, "loss", 1.0, at=-1)
+
+
+def test_a_last_checkpoint_of_another_network(tmp_path: Path) -> None:
+    train(tmp_path, "loss", 1.0, at=-1)
+    state = torch.load(tmp_path / "last.ckpt", weights_only=True)
+    state["state_dict"]["weight"] = torch.ones(2)
+    torch.save(state, tmp_path / "last.ckpt")
+    with pytest.raises(TFLabError, match=r"last.ckpt: of another network \(first: weight\)"):
+        train(tmp_path, "loss", 1.0, at=-1)

@@ -31,6 +31,13 @@ def swallows():
 def lingers():
     threading.Thread(target=time.sleep, args=(99,)).start()
     endless()
+def joins():  # as scipy does: what its threads work on must not be freed
+    thread = threading.Thread(target=swallows, daemon=True)
+    thread.start()
+    try:
+        thread.join()
+    except BaseException:
+        os._exit(99)
 def imports():  # what would be cut off there is not Python's to tidy up
     class Finder:
         def find_spec(self, *_):
@@ -58,6 +65,7 @@ with stoppable("all is kept"):
         (signal.SIGTERM, "swallows", False),
         (signal.SIGHUP, "lingers", True),
         (signal.SIGTERM, "imports", True),
+        (signal.SIGINT, "joins", True),
     ],
 )
 def test_one_line_and_the_shells_status(

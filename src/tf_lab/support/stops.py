@@ -20,9 +20,10 @@ from typing import NoReturn
 PARENT = "TF_LAB_PARENT"  # the process that a child is to end with
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 GRACE = 2.0  # seconds
+IMPORTS = "<frozen importlib"  # of the names of the interpreter's files
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 
-_stoppable = False  # whether a stop of this process is a line and a status
+_process = 0  # the process whose stop is a line and a status; its forks end with it
 
 
 class Stopped(BaseException):
@@ -42,14 +43,14 @@ def stoppable(keeps: str) -> Iterator[None]:
     Args:
         keeps: what a stop leaves behind, for the line that it prints.
     """
-    global _stoppable
+    global _process
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     stop = _Stop(keeps)
     numbers = [n for n in SIGNALS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
     before = {number: signal.signal(number, stop.hear) for number in numbers}
-    fd_before, _stoppable = signal.set_wakeup_fd(stop.pipe, warn_on_full_buffer=False), True
+    fd_before, _process = signal.set_wakeup_fd(stop.pipe, warn_on_full_buffer=False), os.getpid()
     interrupted = False
     try:
         yield
@@ -60,7 +61,7 @@ def stoppable(keeps: str) -> Iterator[None]:
             raise
     finally:
         if not stop.number:
-            _stoppable = False
+            _process = 0
             signal.set_wakeup_fd(fd_before)
             for number, handler in before.items():
                 signal.signal(number, handler)
@@ -84,7 +85,7 @@ class _Stop:
     def hear(self, number: int, frame: FrameType | None) -> None:
         if not self.number:
             self.number = number
-            if _imports(frame):  # nothing to tidy up yet; a library cut off there may crash
+            if _is_fragile(frame):
                 self.end(number)
             raise Stopped(signal.Signals(number).name)
 
@@ -115,20 +116,29 @@ class _Stop:
             os._exit(128 + byte[0])
 
 
-def _imports(frame: FrameType | None) -> bool:
-    """Whether this is in the middle of an import."""
-    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+def _is_fragile(frame: FrameType | None) -> bool:
+    """Whether an exception here may crash the interpreter.
+
+    In an import a library would be left half set up; and threads that are waited for, such as
+    those of scipy's trees, would lose what they work on.
+    """
+    while frame is not None:
+        code = frame.f_code
+        if code is threading.Thread.join.__code__ or code.co_filename.startswith(IMPORTS):
+            return True
         frame = frame.f_back
-    return frame is not None
+    return False
 
 
 def _forked() -> None:
     """A forked child, such as a loader's worker, ends with its parent, and silently."""
-    if _stoppable:
+    global _process
+    if _process:
         signal.set_wakeup_fd(-1)
         for number in SIGNALS:
             signal.signal(number, lambda *_: os._exit(0))
-        end_with(os.getppid())
+        parent, _process = _process, os.getpid()
+        end_with(parent)  # which may be gone by now
 
 
 os.register_at_fork(after_in_child=_forked)

@@ -102,7 +102,7 @@ def fit(
     made = _trainer(directory, trainer, settings, loggers, callbacks)
     batches = data()
     last = directory / LAST
-    resumes = last.exists() and _is_ours(last, settings.identity)
+    resumes = last.exists() and _is_ours(last, settings.identity, module)
     state = last if resumes else start()
     if state is not None:
         print(f"{'resuming' if resumes else 'going on from'} {state}")
@@ -115,7 +115,7 @@ def fit(
     return made
 
 
-def _is_ours(last: Path, identity: str | None) -> bool:
+def _is_ours(last: Path, identity: str | None, module: L.LightningModule) -> bool:
     """Whether a checkpoint is to be resumed from.
 
     Raises:
@@ -125,10 +125,19 @@ def _is_ours(last: Path, identity: str | None) -> bool:
         state = read_state(last)
     except TFLabError as error:
         raise TFLabError(f"{error}; delete it to start this training again") from error
-    if identity is None or state.get(IDENTITY) == identity:
-        return True
-    print(f"{last}: of other settings or data; this training starts anew")
-    return False
+    if identity is not None and state.get(IDENTITY) != identity:
+        print(f"{last}: of other settings or data; this training starts anew")
+        return False
+    own, theirs = (
+        {name: getattr(value, "shape", None) for name, value in weights.items()}
+        for weights in (module.state_dict(), state["state_dict"])
+    )
+    if own != theirs:
+        first = next(k for k in {**own, **theirs} if own.get(k) != theirs.get(k))
+        raise TFLabError(
+            f"{last}: of another network (first: {first}); delete it to start this training again"
+        )
+    return True
 
 
 class AtomicSaves(TorchCheckpointIO):

@@ -34,7 +34,7 @@ from tf_lab.reporting.report import tables_page
 from tf_lab.reporting.studies import open_study
 from tf_lab.reporting.tables import main_table, runs_table, scene_table, seed_table
 from tf_lab.runs import details, listing
-from tf_lab.training.initial import read_state
+from tf_lab.training.state import PARTS, read_state
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,8 @@ def read_reconstruction(folder: Path) -> bool:
 def write_torch(folder: Path) -> None:
     state = {f"{name}.weight": torch.rand(3, 4) for name in "abc"}
     torch.save(state, folder / "weights.pth")
-    training = {"global_step": 5, "hyper_parameters": {"network": {}}, "state_dict": state}
+    training: dict[str, object] = {name: kind() for name, kind in PARTS.items()}
+    training |= {"global_step": 5, "hyper_parameters": {"network": {}}, "state_dict": state}
     torch.save(training, folder / "last.ckpt")
 
 
