@@ -45,7 +45,7 @@ def test_a_run_is_seen_as_it_was_evaluated(tmp_path: Path, box_scene: Path) -> N
     ("given", "said"),
     [
         (("input=a", "run=b"), "give one of input=, run= and mesh="),
-        (("port=70000",), "port=70000: choose one from"),
+        (("port=70000",), "port=70000: must be at least 0 and at most 65535"),
         (("mesh=nowhere.ply", "port=0"), "nowhere.ply: cannot be read"),
         (("run=nowhere", "port=0"), "nowhere/config.yaml"),
     ],
