@@ -136,7 +136,7 @@ def test_in_a_browser(study: Study, output: Path) -> None:
         time.sleep(1)
         before = page.picture()
         red, blue = before[..., 0].astype(int), before[..., 2].astype(int)
-        assert (red - blue > 60).mean() > 0.02 and (blue - red > 60).mean() > 0.005
+        assert (red - blue > 60).mean() > 0.01 and (blue - red > 30).mean() > 0.002
         page.call("Input.dispatchMouseEvent", type="mousePressed", x=450, y=450, button="left")
         page.call(
             "Input.dispatchMouseEvent", type="mouseMoved", x=450, y=250, button="left", buttons=1

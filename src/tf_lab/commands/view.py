@@ -41,7 +41,7 @@ def run(config: ViewConfig) -> None:
         return
     capture = None
     if config.run is not None:
-        config, capture = _of_run(config, Path(config.run))
+        config, capture = of_run(config, Path(config.run))
     checkpoint = Path(config.checkpoint) if config.checkpoint else shipped_checkpoint()
     network, info = load_network(checkpoint)
     network = ready(network, config.online, device_of(config.device))
@@ -69,7 +69,7 @@ def _read(path: Path) -> trimesh.Trimesh:
     return read_glb(path) if path.suffix == ".glb" else read_mesh(path)
 
 
-def _of_run(config: ViewConfig, directory: Path) -> tuple[ViewConfig, Capture]:
+def of_run(config: ViewConfig, directory: Path) -> tuple[ViewConfig, Capture]:
     """A run's network and settings as a config, and one of its test scenes.
 
     Raises:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from html import escape
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from tf_lab.reporting.formats import ARROWS, Cell, Table
@@ -21,7 +22,8 @@ h1{font-size:1.6rem}h2{font-size:1.2rem;margin-top:2rem;border-bottom:1px solid 
 table{border-collapse:collapse;margin:.5rem 0;font-size:.85rem;display:block;overflow-x:auto}
 th,td{padding:.2rem .6rem;text-align:right;white-space:nowrap}
 th:first-child,td:first-child{text-align:left}
-thead th{border-bottom:1px solid #222}tbody tr:first-child td{border-top:1px solid #bbb}
+thead tr:last-child th{border-bottom:1px solid #222}.spans th{text-align:center}
+tbody tr:first-child td{border-top:1px solid #bbb}
 img{max-width:100%}pre{background:#f6f6f6;padding:.6rem;overflow-x:auto;font-size:.8rem}
 canvas{width:100%;height:30rem;background:#fff;border:1px solid #ddd;touch-action:none}
 figure{margin:.5rem 0}figcaption{font-size:.85rem;color:#555}summary{cursor:pointer}
@@ -63,8 +65,7 @@ def code(text: str) -> str:
 def table_html(table: Table) -> str:
     """A table with its caption."""
     head = "".join(
-        f"<th>{escape(f'{c.span} {c.title} {ARROWS[c.better][0]}'.strip())}</th>"
-        for c in table.columns
+        f"<th>{escape(f'{c.title} {ARROWS[c.better][0]}'.strip())}</th>" for c in table.columns
     )
     groups = "".join(
         "<tbody>" + "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in group) + "</tbody>"
@@ -72,7 +73,16 @@ def table_html(table: Table) -> str:
         if group
     )
     caption = f"<p>{escape(table.caption)}</p>" if table.caption else ""
-    return f"{caption}<table><thead><tr>{head}</tr></thead>{groups}</table>"
+    return f"{caption}<table><thead>{_spans(table)}<tr>{head}</tr></thead>{groups}</table>"
+
+
+def _spans(table: Table) -> str:
+    """The row of headings over several columns; nothing without any."""
+    spans = [(span, len([*columns])) for span, columns in groupby(c.span for c in table.columns)]
+    if not any(span for span, _ in spans):
+        return ""
+    cells = "".join(f"<th colspan='{width}'>{escape(span)}</th>" for span, width in spans)
+    return f"<tr class='spans'>{cells}</tr>"
 
 
 def _cell(cell: Cell) -> str:

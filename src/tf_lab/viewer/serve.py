@@ -46,6 +46,11 @@ class LocalServer(viser.ViserServer):
         """No: a page can ask for it even without the button."""
         return None
 
+    def stop(self) -> None:
+        """End it."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            super().stop()
+
     @property
     def address(self) -> str:
         """Of the page."""

@@ -1,0 +1,88 @@
+"""`python -m tf_lab.view`: what it is asked for; the page has tests of its own."""
+
+import socket
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from helpers.made_up_runs import write_run
+from helpers.tiny_jobs import call
+from tf_lab.config.compose import compose_config
+from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
+from tf_lab.errors import TFLabError
+from tf_lab.reporting.results import read_run
+
+pytest.importorskip("viser", reason="needs pip install 'tf_lab[viewer]'")
+from tf_lab.commands.view import of_run
+
+
+def test_a_run_is_seen_as_it_was_evaluated(tmp_path: Path, box_scene: Path) -> None:
+    run = write_run(tmp_path, f"views=4 data.root={tmp_path}", 0, [0.5])
+    asked = compose_config("view", "views=3")
+    with pytest.raises(TFLabError, match=r"its checkpoint .* is not on this machine"):
+        of_run(asked, run)
+    checkpoint = tmp_path / "trainings" / "tiny-seed0-abc" / "model.safetensors"
+    checkpoint.parent.mkdir(parents=True)
+    checkpoint.touch()
+    with pytest.raises(TFLabError, match=r"its test scene .* is not on this machine"):
+        of_run(asked, run)
+    scene = open_source(read_run(run).config.data).directory("room_2000000", None)
+    scene.parent.mkdir(parents=True)
+    scene.symlink_to(box_scene)
+    config, capture = of_run(asked, run)
+    assert config.checkpoint == str(checkpoint) and config.views == 4
+    assert isinstance(capture, Scene) and capture.name == "box_room"
+    with pytest.raises(TFLabError, match=r"scene=nowhere: .* has room_2000000"):
+        of_run(replace(asked, scene="nowhere"), run)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("input=a", "run=b"), "give one of input=, run= and mesh="),
+        (("port=70000",), "port=70000: must be at least 0 and at most 65535"),
+        (("mesh=nowhere.ply", "port=0"), "nowhere.ply: cannot be read"),
+        (("run=nowhere", "port=0"), "nowhere/config.yaml"),
+    ],
+)
+def test_errors_are_a_line(given: tuple[str, ...], said: str) -> None:
+    done = call("view", *given)
+    assert done.status == 2
+    assert said in done.err and len(done.err.splitlines()) == 1
+
+
+def test_a_taken_port_is_told_before_anything_is_done() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        done = call("view", f"port={other.getsockname()[1]}")
+    assert done.status == 2
+    assert "cannot be used" in done.err and len(done.err.splitlines()) == 1
+
+
+def test_meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Side by side under one camera, the ground truth last; GLB and PLY alike."""
+    from tf_lab.meshes.glb import glb_of
+    from tf_lab.viewer.serve import LocalServer
+
+    cube = trimesh.creation.box((2, 1, 1))
+    cube.export(tmp_path / "a.ply")
+    (tmp_path / "b.glb").write_bytes(glb_of(cube))
+    seen: dict[str, Any] = {}
+
+    def look(server: Any) -> None:
+        for number in range(4):
+            seen[str(number)] = server.scene.get_handle_by_name(f"/{number}")
+        server.stop()
+
+    monkeypatch.setattr(LocalServer, "wait", look)
+    done = call("view", "mesh=[a.ply,b.glb]", "groundtruth=a.ply", "port=0")
+    assert (done.status, done.err) == (0, "")
+    places = [np.array(seen[n].position) for n in "012"]
+    np.testing.assert_allclose(np.diff(places, axis=0), [[2.5, 0, 0]] * 2)
+    assert seen["3"] is None
