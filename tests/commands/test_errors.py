@@ -113,7 +113,7 @@ def test_a_bad_capture_by_a_process(tmp_path: Path, checkpoint: Path) -> None:
     [
         (("output=mesh.obj",), ("output=mesh.obj", ".ply")),
         (("format=martian",), ("format=martian", "known are")),
-        (("views=0",), ("views=0", "at least one view")),
+        (("views=0",), ("views=0", "must be at least 1")),
         (("resolution=0.03",), ("resolution=0.03", "must be a multiple")),
         (("select.policy=best",), ("select.policy=best", "choose one of attention, random")),
         (("gravity=[0,0,0]",), ("gravity",)),
@@ -180,8 +180,8 @@ def with_a_tensor_missing(path: Path) -> None:
         (lightning_checkpoint, ("not a checkpoint of tf_lab", "expected model.safetensors")),
         (truncated, ("not a checkpoint of tf_lab", "expected model.safetensors")),
         (of_another_version, ("another version", "refinement", "train it again")),
-        (of_another_config, ("another network", "size mismatch", "train it again")),
-        (with_a_tensor_missing, ("another network", "Missing key", "train it again")),
+        (of_another_config, ("another network", " has [", "expected [", "train it again")),
+        (with_a_tensor_missing, ("another network", "has no shape, expected [", "train it again")),
     ],
 )
 def test_a_bad_checkpoint(
@@ -264,7 +264,7 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("argument", "expected"),
     [
-        ("views=0", ("views=0", "at least one view")),
+        ("views=0", ("views=0", "must be at least 1")),
         ("seed=-1", ("seed=-1: must be at least 0",)),
         ("data.width=0", ("data.width=0: must be at least 1",)),
         ("optimizer.steps=-3", ("optimizer.steps=-3: must be at least 1",)),

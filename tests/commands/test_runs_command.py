@@ -44,7 +44,9 @@ def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     unfinished(mine, "begun")
     (unfinished(mine, "broken") / "model.safetensors").write_bytes(b"damaged")
     out = call("runs").out
-    trainings, runs = out.split("\n\n")
+    trainings, runs, wrong = out.split("\n\n")
+    assert wrong.startswith("cannot be read:\n")
+    assert "broken/model.safetensors: not a checkpoint" in wrong
     rows = {line.split()[0]: line for line in trainings.splitlines()[2:]}
     finished = rows.pop(main_job.path("training").name)
     assert "  finished  " in finished

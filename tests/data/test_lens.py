@@ -120,8 +120,8 @@ def test_any_lens_is_refused_or_seen_through() -> None:
         magnitude = 10 ** random.uniform(-3, random.choice([0, 3, 30]))
         distortion = tuple((random.normal(size=count) * magnitude).tolist())
         focal, at = 10 ** random.uniform(0, 4, 2), random.uniform(0, 0.99, 2) * SIZE
-        camera = Camera(SIZE, *focal.tolist(), *at.tolist(), distortion, fish)
         try:
+            camera = Camera(SIZE, *focal.tolist(), *at.tolist(), distortion, fish)
             pinhole = camera.pinhole(SIZE)
         except TFLabError:
             refused += 1

@@ -73,7 +73,8 @@ def _config_for(path: Path, text: str) -> NetworkConfig:
     with safe_open(path, framework="pt") as file:
         there = {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
     if misfit := next((n for n in {**wanted, **there} if wanted.get(n) != there.get(n)), None):
-        raise ValueError(f"{misfit} is {there.get(misfit)}, not {wanted.get(misfit)}")
+        shape, expected = there.get(misfit, "no shape"), wanted.get(misfit, "no such tensor")
+        raise ValueError(f"{misfit} has {shape}, expected {expected}")
     return config
 
 

@@ -46,5 +46,7 @@ def lock_holder(directory: Path) -> str | None:
     except Timeout:
         note = directory / ".holder"
         return (note.read_text() if note.exists() else "") or "another process"
+    except OSError:  # no place for a lock: nobody can hold it
+        return None
     lock.release()
     return None
