@@ -90,7 +90,12 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("the work has begun")
 
     for name in (
-        *("reconstruct._open", "evaluate.evaluate", "report.open_study", "pretrain.open_source"),
+        *(
+            "reconstruct.open_input",
+            "evaluate.evaluate",
+            "report.open_study",
+            "pretrain.open_source",
+        ),
         *("benchmark.run_all", "prepare.open_source"),
     ):
         monkeypatch.setattr(f"tf_lab.commands.{name}", fail)

@@ -69,15 +69,31 @@ def test_runs_are_found_in_several_folders(tmp_path: Path) -> None:
     [
         ("metrics.json", '{"scenes": {', "damaged"),
         ("metrics.json", "[1]", "not a mapping"),
-        ("metrics.json", '{"protocol": "x", "scenes": {}}', "no scene"),
-        ("metrics.json", '{"scenes": {"room": {}}}', "no scene"),
-        ("metrics.json", '{"scenes": {"room": {"acc": "x"}}}', "scenes"),
-        ("metrics.json", '{"scenes": {"room": null}}', "scenes"),
-        ("metrics.json", json.dumps({"scenes": {"r": scores(float("nan"))}}), "no number"),
+        (
+            "metrics.json",
+            '{"protocol": "x", "mean": {"acc": 1}, "scenes": {}}',
+            "there is no scene",
+        ),
+        ("metrics.json", '{"protocol": "x", "mean": {"acc": 1}, "scenes": {"room": {}}}', "scene"),
+        (
+            "metrics.json",
+            '{"protocol": "x", "mean": {"acc": 1}, "scenes": {"room": {"acc": "x"}}}',
+            "scenes",
+        ),
+        (
+            "metrics.json",
+            '{"protocol": "x", "mean": {"acc": 1}, "scenes": {"room": null}}',
+            "scenes",
+        ),
+        (
+            "metrics.json",
+            json.dumps({"mean": {"acc": 1}, "scenes": {"r": scores(float("nan"))}}),
+            "not a finite number",
+        ),
         ("config.yaml", "a: [", "damaged"),
         ("config.yaml", "", "not a mapping"),
         ("config.yaml", "seed: 0", "has other settings"),
-        ("run.json", None, "cannot be read"),
+        ("run.json", None, "missing"),
         ("run.json", "{", "damaged"),
     ],
 )

@@ -44,7 +44,7 @@ class PlaneSweepSettings:
             in the others it may be hidden.
         baseline: between two cameras, metres: the least, the most, and what is best.
         window: edge of the correlation's window, pixels.
-        least: ZNCC that a depth needs; -1: none.
+        least: ZNCC that a depth needs.
         agree: other views that have to confirm a depth, each within ``tolerance`` of it (a share).
         voxel: edge, and ``truncation``, of the TSDF, metres.
     """
@@ -56,7 +56,7 @@ class PlaneSweepSettings:
     best: int = 3
     baseline: tuple[float, float, float] = (0.05, 0.8, 0.25)
     window: int = 5
-    least: float = -1.0
+    least: float = 0.1
     agree: int = 1
     tolerance: float = 0.03
     voxel: float = 0.04

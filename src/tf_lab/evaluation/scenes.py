@@ -63,9 +63,10 @@ def surface_views(online: Reconstructor, scene: Scene, keyframes: Sequence[int])
     """What the views are worth that fine voxels at the true surface keep."""
     level = online.fine
     rows = torch.arange(level.blocks.rows, device=level.device)
-    distance = GroundTruth(scene.groundtruth).surface_distance(level.points(rows).cpu())
-    at_surface = (distance < level.voxel / 2).to(level.device)
-    return view_sets(level, rows[at_surface], DepthMaps(scene, keyframes))
+    if len(rows):
+        distance = GroundTruth(scene.groundtruth).surface_distance(level.points(rows).cpu())
+        rows = rows[(distance < level.voxel / 2).to(level.device)]
+    return view_sets(level, rows, DepthMaps(scene, keyframes))
 
 
 def draw(result: Reconstruction, scene: Scene, path: Path, fscore: float) -> None:

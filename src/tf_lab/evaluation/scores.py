@@ -65,7 +65,7 @@ class Metrics:
     details: dict[str, Details] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.scenes or not self.mean:
+        if not (self.scenes and self.mean and all(self.scenes.values())):
             raise ValueError("there is no scene, or no score, in it")
 
 
