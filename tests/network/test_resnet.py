@@ -9,11 +9,13 @@ import pytest
 import torch
 import torch.nn.functional as F
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from tf_lab.config.build import build_network
+from tf_lab.config.compose import compose_config
 from tf_lab.errors import TFLabError
-from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.network.encoders import resnet
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.resnet import IMAGENET_URL, ResNet
@@ -274,13 +276,15 @@ def test_a_damaged_download_is_not_kept(tmp_path: Path, monkeypatch: pytest.Monk
     assert not list((tmp_path / "hub" / "checkpoints").iterdir())
 
 
-def test_a_checkpoint_from_before_encoders_had_names() -> None:
-    """The shipped one: bit by bit what the encoder of its time made, written out here."""
-    path = shipped_checkpoint()
-    with safe_open(path, framework="np") as file:
-        config = json.loads(file.metadata()["config"])["encoder"]
-    if "name" in config:
-        pytest.skip("the shipped checkpoint names its encoder")
+def test_a_checkpoint_from_before_encoders_had_names(tmp_path: Path) -> None:
+    """Bit by bit what the encoder of its time made, written out here."""
+    path = tmp_path / "model.safetensors"
+    made = build_network(compose_config("train", "encoder.weights=rooms"))
+    save_network(made, path, {})
+    with safe_open(path, framework="pt") as file:
+        config = json.loads(file.metadata()["config"])
+    assert config["encoder"].pop("name") == "resnet"
+    save_file(load_file(path), path, {"config": json.dumps(config), "info": "{}"})
     network, _ = load_network(path)
     state = network.encoder.state_dict()
     images = torch.randint(

@@ -8,6 +8,7 @@ KILL, TERM or INT; TERM-group and INT-group send it to all processes; FULL runs 
 import argparse
 import signal
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -24,7 +25,9 @@ def main() -> None:
     parser.add_argument("--tries", type=int, default=3)
     parser.add_argument("--minutes", type=float, default=1e6, help="a case, at most")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--folder", type=Path, default=Path("/tmp/tf_lab-reliability"))
+    parser.add_argument(
+        "--folder", type=Path, default=Path(tempfile.gettempdir(), "tf_lab-reliability")
+    )
     given = parser.parse_intermixed_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     cases, wrong = prepare_inputs(given.folder), 0
