@@ -29,6 +29,7 @@ from safetensors.torch import load_file
 from helpers.layouts import room_frames, seven_scenes
 from helpers.made_up_runs import ROWS, write_study
 from helpers.tiny_jobs import TINY, environment, start
+from helpers.warm import Warm, warm_up
 from tf_lab.meshes.files import read_mesh
 
 MARK = "TF_LAB_TESTS_MARK"  # in the environment of a command and of all that it starts
@@ -189,9 +190,14 @@ def stopped(
     counts, rng = Counts(), random.Random(seed)
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "undisturbed").mkdir(parents=True)
-    began = time.monotonic()
     expected = results(case, undisturbed(case, folder / "undisturbed"))
+    (folder / "warm").mkdir()
+    warm_up(case.command, case.words(folder / "warm"), folder)
+    (folder / "usual").mkdir()
+    began = time.monotonic()
+    disturb(case, folder / "usual", number, group, PATIENCE, counts)
     usual = time.monotonic() - began
+    compare(case, folder / "usual", expected, counts)
     place, fresh = folder / "0", 0
     place.mkdir()
     while counts.tries < tries and time.monotonic() < end:
@@ -216,30 +222,19 @@ def disturb(
 ) -> bool:
     """Start a command and send it a signal; whether it was done before."""
     mark = uuid.uuid4().hex
-    with (to.parent / "out.txt").open("w+") as out, (to.parent / "err.txt").open("w+") as err:
-        process = subprocess.Popen(
-            [sys.executable, "-m", f"tf_lab.{case.command}", *case.words(to)],
-            cwd=to.parent,
-            env=environment(**{MARK: mark}),
-            stdout=out,
-            stderr=err,
-            start_new_session=True,
-        )
-        try:
-            status = process.wait(after)
-        except subprocess.TimeoutExpired:
-            status = None
-        if status is None:
-            sent = time.monotonic()
-            (os.killpg if group else os.kill)(process.pid, number)
-            status = process.wait(PATIENCE)
-            counts.slowest = max(counts.slowest, time.monotonic() - sent)
-            if status == 0:  # it was about to end
-                sent = 0.0
-        else:
+    out, err = to.parent / "out.txt", to.parent / "err.txt"
+    process = Warm(case.command, case.words(to), to.parent, out, err, **{MARK: mark})
+    sent = 0.0
+    try:
+        status = process.wait(after)
+    except subprocess.TimeoutExpired:
+        sent = time.monotonic()
+        (os.killpg if group else os.kill)(process.pid, number)
+        status = process.wait(PATIENCE)
+        counts.slowest = max(counts.slowest, time.monotonic() - sent)
+        if status == 0:  # it was about to end
             sent = 0.0
-        out.seek(0), err.seek(0)
-        printed, errors = out.read(), err.read()
+    printed, errors = out.read_text(), err.read_text()
     counts.waited += "waiting for" in printed
     if not sent:
         counts.ended += 1
@@ -253,7 +248,7 @@ def disturb(
     said = lines(errors)
     good = not said if killed else len(said) == 1 and said[0].startswith(("interr", "stopped"))
     check(good, counts, "lines", errors)
-    while (left := alive(mark)) and time.monotonic() < sent + GONE:
+    while (left := alive(mark, process.pid)) and time.monotonic() < sent + GONE:
         time.sleep(0.05)
     check(not left, counts, "orphans", str(left))
     for path in sorted(to.rglob("*")):
@@ -279,12 +274,13 @@ def check(good: bool, counts: Counts, what: str, note: str) -> bool:
     return True
 
 
-def alive(mark: str) -> list[str]:
-    """The command lines of all processes that have a mark in their environment."""
+def alive(mark: str, session: int) -> list[str]:
+    """The command lines of all processes of a session, or with a mark in their environment."""
     found = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
             marked = f"{MARK}={mark}".encode() in (place / "environ").read_bytes().split(b"\0")
+            marked |= os.getsid(int(place.name)) == session
             words = (place / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         except OSError:  # it ended
             continue
