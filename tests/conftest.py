@@ -1,4 +1,3 @@
-import socket
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,7 @@ import pytest
 import torch
 from hydra.core.config_store import ConfigStore
 
-from helpers import box_room
+from helpers import box_room, network
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.scene import write_scene
 from tf_lab.network.network import Network
@@ -22,7 +21,6 @@ hypothesis.settings.load_profile("tf_lab")
 # The tests' tensors are small: a second thread costs more than it gives, above all beside others.
 torch.set_num_threads(1)
 
-LOOPBACK = ("127.0.0.1", "::1", "localhost", None, "")
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -61,21 +59,9 @@ def no_network() -> Iterator[None]:
 
     What fails the test is no Exception, so that nobody takes it for a network that is down.
     """
-    connect, look_up = socket.socket.connect, socket.getaddrinfo
-
-    def checked_connect(self: socket.socket, address: Any) -> None:
-        if self.family != socket.AF_UNIX and address[0] not in LOOPBACK:
-            pytest.fail(f"a connection to {address}")
-        connect(self, address)
-
-    def checked_look_up(host: Any, *arguments: Any, **more: Any) -> Any:
-        if host not in LOOPBACK:
-            pytest.fail(f"a look-up of {host}")
-        return look_up(host, *arguments, **more)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(socket.socket, "connect", checked_connect)
-        patch.setattr(socket, "getaddrinfo", checked_look_up)
+        for (owner, name), value in network.closed(pytest.fail).items():
+            patch.setattr(owner, name, value)
         yield
 
 

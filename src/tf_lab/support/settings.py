@@ -14,7 +14,6 @@ which runs are the same (see `tf_lab.experiments.identity`).
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING
 from typing import Any, Literal, get_type_hints
@@ -25,11 +24,12 @@ from tf_lab.support.records import record
 Shapes = Literal["weights", "scores", "nothing"]
 Kind = Literal["value", "path", "source"]
 MOST_SEED = 2**32 - 1  # of numpy's and of Lightning's
+SMALLEST, LARGEST = 1e-18, 1e18  # magnitudes whose squares are numbers in float32, too
 
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Which numbers a setting may be: from ``least`` or above ``above`` up to ``most``, finite."""
+    """Which numbers a setting may be: from ``least`` or above ``above`` up to ``most``."""
 
     least: float | None = None
     above: float | None = None
@@ -37,8 +37,7 @@ class Range:
 
     def __contains__(self, number: float) -> bool:
         return (
-            abs(number) <= sys.float_info.max  # false of NaN, and no error of a larger integer
-            and (self.least is None or number >= self.least)
+            (self.least is None or number >= self.least)
             and (self.above is None or number > self.above)
             and (self.most is None or number <= self.most)
         )
@@ -49,7 +48,7 @@ class Range:
             *([] if self.above is None else [f"more than {self.above:.10g}"]),
             *([] if self.most is None else [f"at most {self.most:.10g}"]),
         ]
-        return " and ".join(parts) or "a finite number"
+        return " and ".join(parts)
 
 
 def setting(
@@ -120,7 +119,8 @@ def check_ranges(settings: Any, prefix: str = "") -> None:
     """That the numbers of a settings dataclass, nested ones included, are in their ranges.
 
     Raises:
-        TFLabError: one is not, or it is NaN or infinite; it is named with ``prefix`` in front.
+        TFLabError: one is not, or none that a computer computes with: NaN, infinite, beyond
+            `SMALLEST` or `LARGEST`; it is named with ``prefix`` in front.
     """
     for field in dataclasses.fields(settings):
         _check_field(field, getattr(settings, field.name), f"{prefix}{field.name}")
@@ -160,8 +160,12 @@ def _check_field(field: dataclasses.Field[Any], value: Any, name: str) -> None:
 
 def _check(allowed: Range, name: str, value: Any, items: Iterable[Any]) -> None:
     for item in items:
-        if isinstance(item, int | float) and not isinstance(item, bool) and item not in allowed:
+        if isinstance(item, bool) or not isinstance(item, int | float):
+            continue
+        if item not in allowed:
             raise TFLabError(f"{name}={value}: must be {allowed}")
+        if item != 0 and not SMALLEST <= abs(item) <= LARGEST:  # true of NaN
+            raise TFLabError(f"{name}={value}: must be 0 or from {SMALLEST} to {LARGEST} in size")
 
 
 def lists_to_tuples(settings: Any) -> None:
