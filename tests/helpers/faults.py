@@ -26,7 +26,7 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file
 
-from helpers.layouts import room_frames, seven_scenes
+from helpers.layouts import plain, room_frames, seven_scenes
 from helpers.made_up_runs import ROWS, write_study
 from helpers.tiny_jobs import TINY, environment, start
 from helpers.warm import Warm, warm_up
@@ -98,19 +98,20 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
     if not (inputs / "done").exists():
         done = start("train", *TINY, f"output={inputs / 'trained'}", cwd=folder)
         assert done.status == 0, done.err
-        for name in ("kitchen", "office", "hall"):
-            seven_scenes.write(inputs / "captures" / name, room_frames())
+        for name in ("kitchen", "office"):
+            seven_scenes.write(inputs / "captures" / name, room_frames()[::3])
+        shutil.rmtree(plain.write(inputs / "images", room_frames()[::3]) / "depth")
         write_study(inputs / "made_up", {row: 0.5 + 0.01 * i for i, row in enumerate(ROWS)})
         (run,) = inputs.glob("trained/runs/*")
         (inputs / "predictions").mkdir()
         (inputs / "groundtruth").mkdir()
         (scene,) = cache.glob("rooms-*/test/room_*")
-        for i in range(4):
+        for i in range(2):
             shutil.copy(run / "meshes" / f"{scene.name}.ply", inputs / "predictions" / f"s{i}.ply")
             shutil.copytree(scene / "groundtruth", inputs / "groundtruth" / f"s{i}")
         (inputs / "done").touch()
     (checkpoint,) = inputs.glob("trained/trainings/*/model.safetensors")
-    tiny = [*TINY, "optimizer.steps=40"]
+    tiny = [*TINY, "optimizer.steps=20"]
     captures = ("data=captures", f"data.root={inputs / 'captures'}", "data.gravity=[0,0,-1]")
     benchmark = (
         *("model=tiny", "width=64", "height=48", "frames=3", "timed=2", "eager_timed=1"),
@@ -154,10 +155,9 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
         "reconstruct": Case(
             "reconstruct",
             lambda to: [
-                f"input={inputs / 'captures' / 'office'}",
-                "gravity=[0,0,-1]",
+                f"input={inputs / 'images'}",
                 f"checkpoint={checkpoint}",
-                "device=cpu",
+                *("device=cpu", "resolution=0.05", "check=false"),
                 f"output={to / 'mesh.ply'}",
             ],
             ["mesh.ply", "mesh.png"],

@@ -2,22 +2,14 @@
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from helpers.faults import Case, full_disk, prepare_inputs, stopped
+from helpers.faults import Case, full_disk, stopped
 
 TRIES = int(os.environ.get("TF_LAB_TRIES", "2"))
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
-
-
-@pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Case]]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TF_LAB_CACHE", "")  # is set here, and as it was afterwards
-        yield prepare_inputs(tmp_path_factory.mktemp("inputs"))
 
 
 COMMANDS = ("train", "train with 2 loaders", "sweep of 2 jobs", "prepare", "evaluate", "report")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from helpers import network
-from helpers.faults import prepare_inputs, undisturbed
+from helpers.faults import Case, undisturbed
 from helpers.tiny_jobs import environment
 
 BEYOND = ("192.0.2.1", 80)  # of nobody: for documentation (RFC 5737)
@@ -30,11 +30,11 @@ def test_a_process_that_does_is_written_down(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_command_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_command_does(
+    cases: dict[str, Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name, value in network.for_processes(tmp_path).items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setenv("TF_LAB_CACHE", "")  # is set by the next, and as it was afterwards
-    cases = prepare_inputs(tmp_path)
     for name in ("train with 2 loaders", "prepare", "reconstruct", "evaluate", "report"):
         to = tmp_path / name
         to.mkdir()

@@ -1,5 +1,6 @@
 """A directory's lock says who holds it, and ends with its holder."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -51,3 +52,12 @@ def test_a_lock_says_who_holds_it_and_outlives_nobody(
     assert entered.is_set()
     process.wait()
     assert lock_holder(directory) is None
+
+
+def test_what_another_host_left_locks_nothing(tmp_path: Path) -> None:
+    """As after a machine that went down: the note stays, the kernel's lock does not."""
+    (tmp_path / ".lock").touch()
+    (tmp_path / ".holder").write_text("process 7 on elsewhere")
+    assert lock_holder(tmp_path) is None
+    with directory_lock(tmp_path, "training"):
+        assert lock_holder(tmp_path) == f"process {os.getpid()} on {socket.gethostname()}"

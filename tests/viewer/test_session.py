@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from helpers.online.scenes import FRAMES, assert_same_surface, clearance, reconstruct
+from helpers.resources import Use
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import FINE
@@ -187,3 +188,15 @@ def test_without_ground_truth_there_is_no_error(session: Session) -> None:
         finish(session)
     told = finish(session)  # it goes on as before
     assert told.pieces.keys() == told.colors.keys() and session.mode == "image"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_two_hundred_steps_leak_nothing(session: Session) -> None:
+    use = Use()
+    for step in range(200):
+        session.jump(1 + step % len(FRAMES))
+        finish(session)
+        if step % len(FRAMES) == 0:
+            use.measure()
+    use.assert_flat()
