@@ -111,6 +111,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         (("evaluate", "predictions=a", "groundtruth=b"), "output=folder.ply"),
         (("report",), "output=file"),
         (("report",), "output=file/report"),
+        (("report",), f"output={300 * 'x'}"),  # longer than a name may be
         (("pretrain", "model=tiny"), "output=file/encoder.safetensors"),
         (("benchmark", "model=tiny"), "output=file"),
         (("prepare",), "shards=file/shards"),

@@ -89,6 +89,8 @@ def check_folder(folder: Path, path: Path | None = None) -> None:
     folder = folder.absolute()
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     try:
+        with contextlib.suppress(FileNotFoundError):
+            (path or folder).absolute().lstat()  # an error where a name is too long
         with tempfile.TemporaryFile(dir=nearest):
             pass
     except OSError as error:
