@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tf_lab.evaluation import PAPER
-from tf_lab.evaluation.metrics import Comparison, distances, visibility
+from tf_lab.evaluation.metrics import Comparison, distances, nearest, visibility
 from tf_lab.evaluation.scores import mean_scores, score
 
 EMPTY = {"acc": 100, "compl": 100, "chamfer": 100, "prec": 1, "recall": 0, "fscore": 0}
@@ -141,3 +141,13 @@ def test_visibility_at_its_bounds() -> None:
 def test_a_half_occluded_mask_counts_as_occluded() -> None:
     mask = np.full((3, 3, 3), 0.5, np.float32)
     assert not visibility(np.ones((1, 3)), mask, np.eye(4)).any()
+
+
+def test_the_nearest_of_none() -> None:
+    none, some = np.empty((0, 3)), plane(0.0)
+    for result in nearest(none, some):
+        assert result.shape == (0,)
+    found, index = nearest(some, none)
+    assert (found == 1.0).all() and (index == len(none)).all()  # the cap, and no such point
+    found, index = nearest(some + [0, 0, 1.5], some)
+    assert (found == 1.0).all() and (index == len(some)).all()

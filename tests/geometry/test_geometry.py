@@ -11,11 +11,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from tf_lab.errors import TFLabError
 from tf_lab.geometry import (
+    check_focal,
     in_view,
     invert_pose,
     is_valid_pose,
     pixel_directions,
+    pose_distance,
     project,
     rotation_about_z,
     rotation_between,
@@ -249,3 +252,34 @@ def test_rotation_between_identical_directions_is_exactly_identity() -> None:
 def test_rotation_about_z() -> None:
     turned = rotation_about_z(math.pi / 2) @ torch.tensor([1.0, 0.0, 3.0])
     torch.testing.assert_close(turned, torch.tensor([0.0, 1.0, 3.0]), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 1.0, math.pi])
+def test_how_far_apart_poses_are(angle: float) -> None:
+    """Of DeepVideoMVS; about any axis the trace of a rotation is 1 + 2 cos(angle)."""
+    a, b = np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(4), (2, 1, 1))
+    a[:, :3, :3] = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
+    turn = Rotation.from_rotvec(angle * np.array([2, -1, 2]) / 3).as_matrix()
+    b[:, :3, :3] = a[:, :3, :3] @ turn
+    b[1, :3, 3] = [0.03, 0.04, 0.12]
+    combined, rotation, translation = pose_distance(a, b)
+    measure = math.sqrt(4 / 3 * (1 - math.cos(angle)))
+    np.testing.assert_allclose(rotation, measure, atol=1e-7)
+    np.testing.assert_allclose(translation, [0, 0.13])
+    np.testing.assert_allclose(combined, [measure, math.hypot(measure, 0.13)], atol=1e-7)
+
+
+def test_focal_lengths_that_cannot_be_in_pixels() -> None:
+    check_focal(64.0, 48.0, 31.5, 23.5, SIZE)
+    check_focal(3.5, 2.6, 31.5, 23.5, SIZE)  # 2 atan(1 / (2 * 0.055)) = 167.5 degrees
+    for fx, fy, expected in (
+        *((0.0, 50.0, "fx = 0, fy = 50 must be positive"), (50.0, -1.0, "must be positive")),
+        *((3.0, 50.0, "too short for images of 64x48 .* in pixels"), (50.0, 2.0, "too short")),
+        (math.nan, 50.0, "must be positive"),
+    ):
+        with pytest.raises(TFLabError, match=expected):
+            check_focal(fx, fy, 31.5, 23.5, SIZE)
+    with pytest.raises(TFLabError, match=r"multiply fx, cx by its width and fy, cy by its height"):
+        check_focal(0.8, 1.1, 0.5, 0.5, SIZE)
+    with pytest.raises(TFLabError, match=r"give them in pixels"):
+        check_focal(0.8, 1.1, 32.0, 0.5, SIZE)

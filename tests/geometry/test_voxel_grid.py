@@ -78,3 +78,14 @@ def test_coarse_cells_repeated_three_times_contain_the_fine_centres() -> None:
     upsampled = F.interpolate(torch.arange(125.0).reshape(1, 1, 5, 5, 5), scale_factor=3)
     i, j, k = repeated.unbind(-1)
     assert torch.equal(upsampled[0, 0], (i * 25 + j * 5 + k).float())
+
+
+def test_blocks_and_refined_grids_lie_in_their_grid() -> None:
+    grid = VoxelGrid((-1.0, 0.5, 0.25), 0.25, (4, 5, 6))
+    block = grid.block((1, 0, 2), (4, 2, 3))
+    assert block.shape == (3, 2, 1)
+    torch.testing.assert_close(block.centers(), grid.centers()[1:4, 0:2, 2:3])
+    fine = grid.refined(2)
+    assert (fine.origin, fine.voxel, fine.shape) == (grid.origin, 0.125, (8, 10, 12))
+    parts = fine.centers().view(4, 2, 5, 2, 6, 2, 3)
+    torch.testing.assert_close(parts.mean((1, 3, 5)), grid.centers())
