@@ -149,5 +149,5 @@ def test_the_nearest_of_none() -> None:
         assert result.shape == (0,)
     found, index = nearest(some, none)
     assert (found == 1.0).all() and (index == len(none)).all()  # the cap, and no such point
-    found, index = nearest(some + [0, 0, 1.5], some)
+    found, index = nearest(plane(1.5), some)
     assert (found == 1.0).all() and (index == len(some)).all()
