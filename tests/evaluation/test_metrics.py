@@ -151,3 +151,14 @@ def test_the_nearest_of_none() -> None:
     assert (found == 1.0).all() and (index == len(none)).all()  # the cap, and no such point
     found, index = nearest(plane(1.5), some)
     assert (found == 1.0).all() and (index == len(some)).all()
+
+
+def test_the_f_score_is_the_harmonic_mean() -> None:
+    """Of 4 predicted points 2 are near the truth, of 8 true ones 1: 2 / (1 / 0.5 + 1 / 0.125)."""
+    truth = np.arange(8.0)[:, None] * [1, 0, 0]
+    predicted = np.array([[0, 0, 0], [0, 0, 0.05], [0, 9, 0], [0, 0, 7]], float)  # 5 cm counts
+    result = scored(predicted, truth)
+    assert (result["prec"], result["recall"]) == (0.5, 0.125)
+    assert result["fscore"] == pytest.approx(0.2)
+    shifted = scored(truth + np.array([0, 0, 0.05]), truth)
+    assert (shifted["prec"], shifted["recall"]) == (1, 1)

@@ -217,7 +217,8 @@ def test_invalid_poses() -> None:
     bad[6, 3, 0] = 1  # projective
     bad[7] = 0
     assert is_valid_pose(bad).tolist() == [False] * 8
-    assert is_valid_pose(torch.cat([bad[:1], torch.eye(4)[None]])).tolist() == [False, True]
+    for one in bad:
+        assert is_valid_pose(torch.stack([one, torch.eye(4)])).tolist() == [False, True]
 
 
 @given(vectors, vectors)
@@ -252,28 +253,39 @@ def test_rotation_between_identical_directions_is_exactly_identity() -> None:
 def test_rotation_about_z() -> None:
     turned = rotation_about_z(math.pi / 2) @ torch.tensor([1.0, 0.0, 3.0])
     torch.testing.assert_close(turned, torch.tensor([0.0, 1.0, 3.0]), atol=1e-6, rtol=0)
+    expected = torch.from_numpy(Rotation.from_rotvec([0, 0, 0.4]).as_matrix()).float()
+    torch.testing.assert_close(rotation_about_z(0.4), expected)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.1, 1.0, math.pi])
 def test_how_far_apart_poses_are(angle: float) -> None:
     """Of DeepVideoMVS; about any axis the trace of a rotation is 1 + 2 cos(angle)."""
     a, b = np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(4), (2, 1, 1))
+    a[:, :3, 3] = b[:, :3, 3] = [5, -6, 7]
     a[:, :3, :3] = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
     turn = Rotation.from_rotvec(angle * np.array([2, -1, 2]) / 3).as_matrix()
     b[:, :3, :3] = a[:, :3, :3] @ turn
-    b[1, :3, 3] = [0.03, 0.04, 0.12]
-    combined, rotation, translation = pose_distance(a, b)
+    b[1, :3, 3] += [0.03, 0.04, 0.12]
+    combined, rotation, translation = (x[:, 0] for x in pose_distance(a[:, None], b[:, None]))
     measure = math.sqrt(4 / 3 * (1 - math.cos(angle)))
     np.testing.assert_allclose(rotation, measure, atol=1e-7)
-    np.testing.assert_allclose(translation, [0, 0.13])
+    np.testing.assert_allclose(translation, [0, 0.13], atol=1e-12)
     np.testing.assert_allclose(combined, [measure, math.hypot(measure, 0.13)], atol=1e-7)
+
+
+def test_a_pose_is_no_rotation_from_itself() -> None:
+    """Though rounding makes its trace larger than 3."""
+    poses = np.tile(np.eye(4), (1000, 1, 1))
+    poses[:, :3, :3] = Rotation.random(1000, random_state=0).as_matrix()
+    poses[:, :3, :3] *= 1 + 1e-12
+    assert (pose_distance(poses, poses)[0] == 0).all()
 
 
 def test_focal_lengths_that_cannot_be_in_pixels() -> None:
     check_focal(64.0, 48.0, 31.5, 23.5, SIZE)
-    check_focal(3.5, 2.6, 31.5, 23.5, SIZE)  # 2 atan(1 / (2 * 0.055)) = 167.5 degrees
+    check_focal(5.0, 2.5, 31.5, 23.5, (100, 50))  # 2 atan(1 / (2 * 0.05)) = 168.6 degrees
     for fx, fy, expected in (
-        *((0.0, 50.0, "fx = 0, fy = 50 must be positive"), (50.0, -1.0, "must be positive")),
+        *((0.0, 50.0, "fx = 0, fy = 50 must be positive"), (50.0, 0.0, "must be positive")),
         *((3.0, 50.0, "too short for images of 64x48 .* in pixels"), (50.0, 2.0, "too short")),
         (math.nan, 50.0, "must be positive"),
     ):

@@ -36,6 +36,12 @@ def test_covering_an_exact_box_adds_nothing() -> None:
     assert grid.origin == pytest.approx((0.3, -0.6, 0.0))
 
 
+def test_a_lattice_is_that_of_the_voxels_unless_told() -> None:
+    grid = VoxelGrid.covering([0.11, 0.21, 0.31], [0.19, 0.29, 0.39], 0.1)
+    assert grid.shape == (1, 1, 1)
+    assert grid.origin == pytest.approx((0.1, 0.2, 0.3))
+
+
 def test_centers_and_index_by_hand() -> None:
     grid = VoxelGrid((1.0, 2.0, 3.0), 0.5, (2, 3, 4))
     centers = grid.centers()
@@ -57,6 +63,8 @@ def test_volume_samples_of_a_linear_function_are_exact(dtype: torch.dtype) -> No
     index = torch.rand(100, 3, generator=torch.Generator().manual_seed(0)) * inner
     points = torch.tensor(grid.origin) + (index + 0.5) * grid.voxel
     samples = grid.sample(volume, points)
+    both = grid.sample(torch.stack([volume, 2 * volume]), points.expand(2, -1, -1))
+    torch.testing.assert_close(both, torch.stack([samples, 2 * samples]))
     tolerance = 1e-5 if dtype == torch.float32 else 8e-3  # bfloat16 holds 8 bits of the value
     torch.testing.assert_close(samples.float(), points, atol=tolerance, rtol=tolerance)
 

@@ -220,6 +220,16 @@ def test_of_two_directions_alike_one_is_dropped() -> None:
     assert second in (2, 3)
 
 
+def test_the_closer_of_close_directions_is_dropped() -> None:
+    """0.1 apart, and 0.5: both logarithms are below 0."""
+    angles = torch.tensor([[0.0, 0.1, 0.6]])
+    centers = torch.stack([angles.cos(), angles.sin(), torch.zeros_like(angles)], -1)
+    candidates = Candidates(
+        torch.tensor([7]), lattice(1), torch.arange(3)[None], torch.zeros(1, 3, 1), centers
+    )
+    assert DiverseSelection(0, attention=0, spread=1e3).drop(candidates).item() in (0, 1)
+
+
 def test_angles_to_the_nearest_other_direction() -> None:
     degrees = torch.tensor([[0.0, 10.0, 40.0, 180.0]]).deg2rad()
     centers = torch.stack([degrees.cos(), degrees.sin(), torch.zeros_like(degrees)], -1) * 2
@@ -227,3 +237,5 @@ def test_angles_to_the_nearest_other_direction() -> None:
         angle_to_nearest(centers).rad2deg() - angle_to_nearest(centers[:, [0, 0]]).rad2deg()[0, 0]
     )
     torch.testing.assert_close(found, torch.tensor([[10.0, 10, 30, 140]]), atol=0.1, rtol=0)
+    alike = angle_to_nearest(centers[:, [0, 0]])
+    assert ((alike > 0) & (alike < 0.1)).all()  # radians, of which a logarithm is taken
