@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
-from tf_lab.data.camera_noise import disturb_cameras
+from tf_lab.data.camera_noise import disturb_cameras, share_of
 from tf_lab.data.jpeg import decode_jpeg
 from tf_lab.data.readers.images import natural_order
 from tf_lab.data.settings import CameraNoise, ChunkSettings
@@ -157,7 +157,7 @@ def make_batch(
     cameras = [(r.K[v], r.world_T_cam[v]) for r, v in views]
     if settings.camera_noise != CameraNoise():
         rng = np.random.default_rng([seed, rank, step, 4])
-        cameras = [disturb_cameras(*given, settings.camera_noise, rng) for given in cameras]
+        cameras = [_disturbed(*given, settings.camera_noise, rng) for given in cameras]
     return ChunkBatch(
         images=torch.from_numpy(images),
         K=torch.stack([K for K, _ in cameras]),
@@ -172,6 +172,15 @@ def make_batch(
         rule=rule,
         scenes=[PurePosixPath(r.scene).name for r in records],
     )
+
+
+def _disturbed(
+    K: Tensor, world_T_cam: Tensor, noise: CameraNoise, rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """The cameras of a chunk, by a share of the noise, uniform in 0..1: some are nearly right."""
+    noise = share_of(noise, rng.uniform())
+    wrong = disturb_cameras(K.numpy(), world_T_cam.numpy(), noise, rng)
+    return torch.from_numpy(wrong[0]), torch.from_numpy(wrong[1])
 
 
 def _times(names: Sequence[str]) -> Tensor:

@@ -11,20 +11,16 @@ MOST_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
 
 @dataclass(frozen=True)
 class CameraNoise:
-    """How wrong cameras are made in training, at most: those of real captures never are exact.
-
-    A chunk has a share of it, uniform in 0..1, by which the deviations of its cameras' errors are
-    multiplied; its images' poses err independently, its focal length as one.
-    """
+    """How wrong cameras are made: those of real captures never are exact."""
 
     translation: float = setting(
-        0.0, "deviation of a camera's place along each axis, metres", shapes="weights", least=0
+        0.0, "deviation of each camera's place along each axis, metres", shapes="weights", least=0
     )
     rotation: float = setting(
         0.0, "deviation of its rotation about each axis, degrees", shapes="weights", least=0
     )
     focal: float = setting(
-        0.0, "deviation of the focal length's logarithm", shapes="weights", least=0, most=0.2
+        0.0, "deviation of the logarithm of all focal lengths", shapes="weights", least=0, most=0.2
     )
 
 
@@ -65,7 +61,9 @@ class ChunkSettings:
     augment: bool = setting(
         True, "chunks turned about the vertical by random angles", shapes="weights"
     )
-    camera_noise: CameraNoise = setting(CameraNoise())
+    camera_noise: CameraNoise = setting(
+        CameraNoise(), "a random share of it (0..1) a chunk: cameras as wrong as real ones"
+    )
 
     def __post_init__(self) -> None:
         lists_to_tuples(self)
