@@ -22,6 +22,7 @@ MAIN = {
     *(f"{k} images" for k in (4, 8)),
 }
 INPUTS = {"w/o projected depth", "w/o view ray"}
+OWN = {"+ matching", *(f"{k} images, diverse (ours)" for k in (4, 8, 16))}
 
 
 def composed(*overrides: str) -> TrainConfig:
@@ -50,6 +51,7 @@ def rows(configs: list[TrainConfig]) -> set[tuple[str, int]]:
         ("inputs", {"", *INPUTS}, 3),
         ("views", {label for label in MAIN if "images" in label} | {""}, 1),
         ("all", MAIN | INPUTS, 7),
+        ("study", MAIN | INPUTS | OWN, 8),
     ],
 )
 def test_a_sweep_is_a_table_or_chart_of_the_paper(
@@ -70,6 +72,7 @@ def test_every_sweep_is_tested() -> None:
         "inputs",
         "views",
         "all",
+        "study",
     }
 
 

@@ -82,10 +82,11 @@ CONTRACT = {
     "logger": ["csv", "tensorboard", "wandb", "wandb_offline"],
     "launcher": ["local", "slurm", "ray"],
     "metrics": ["", "normals"],
-    "sweep": ["", "main_ablation", "inputs", "views", "all"],
+    "sweep": ["", "main_ablation", "inputs", "views", "all", "study"],
     "row": [
         *("ours", "avg", "pred", "no_refine", "no_filter", "no_depth", "no_ray", "matching"),
         *("views4", "views4_rnd", "views8", "views8_rnd", "views16_rnd"),
+        *("views4_diverse", "views8_diverse", "views16_diverse"),
     ],
 }
 

@@ -18,7 +18,7 @@ from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream, cho
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
-from tf_lab.data.settings import ChunkSettings
+from tf_lab.data.settings import CameraNoise, ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK, COARSE, FINE
 
@@ -221,6 +221,19 @@ def test_without_augmentation_only_shifts(box_scene: Path, scene: Scene) -> None
     batch = draw(box_scene, settings)
     rotations = world_T_chunk(batch, scene)[:, :3, :3]
     torch.testing.assert_close(rotations, torch.eye(3).double().expand(3, 3, 3), atol=1e-5, rtol=0)
+
+
+def test_cameras_are_made_wrong_and_nothing_else(box_scene: Path) -> None:
+    """As often as the batch is drawn, in the same way."""
+    right = draw(box_scene, ChunkSettings(chunks=3, images=4, points=10))
+    noise = CameraNoise(translation=0.05, focal=0.05)
+    settings = ChunkSettings(chunks=3, images=4, points=10, camera_noise=noise)
+    wrong = draw(box_scene, settings)
+    assert same(wrong, draw(box_scene, settings))
+    off = (wrong.world_T_cam - right.world_T_cam)[..., :3, 3].norm(dim=-1)
+    assert (off > 0).all() and (off < 0.3).all()
+    assert (wrong.K != right.K).any(dim=(1, 2, 3)).all()
+    assert same(replace(wrong, K=right.K, world_T_cam=right.world_T_cam), right)
 
 
 def test_chunks_are_drawn_by_weight(box_scene: Path) -> None:

@@ -6,7 +6,16 @@ import torch
 
 from helpers.box_room import look
 from tf_lab import geometry
-from tf_lab.data.flats.phone import Filming, Motion, Phone, blur, make_phone, motion_at
+from tf_lab.data.flats.phone import (
+    TURN,
+    Filming,
+    Motion,
+    Phone,
+    blur,
+    make_phone,
+    motion_at,
+    pass_times,
+)
 from tf_lab.data.rooms.materials import Textures
 from tf_lab.data.rooms.render import Lighting, Renderer
 from tf_lab.data.rooms.shapes import Surfaces
@@ -100,9 +109,18 @@ def test_the_motion_of_a_trail(rng: np.random.Generator) -> None:
     motion = Motion(np.array([0.4, 0.1, -0.1]), np.array([0.2, 0.9, -0.1]))
     trail = motion.poses(look(np.ones(3), 0.4, -0.2), np.arange(9) * 0.02)
     for number in (0, 4, 8):
-        found = motion_at(trail, number, 0.02)
+        found = motion_at(trail, np.arange(9) * 0.02, number)
         np.testing.assert_allclose(found.turn, motion.turn, atol=1e-9)
         np.testing.assert_allclose(found.velocity, motion.velocity, atol=1e-9)
+
+
+def test_who_films_slows_down_in_turns() -> None:
+    """A way straight on, then a turn on the spot, at a pace of 0.5 m/s."""
+    straight = [look(np.array([x, 0, 1]), 0.0, 0.0) for x in np.arange(11) * 0.01]
+    turn = [look(np.array([0.1, 0, 1]), yaw, 0.0) for yaw in np.arange(1, 11) * 0.1]
+    times = pass_times(np.array([*straight, *turn]), 0.5)
+    np.testing.assert_allclose(np.diff(times[:11]), 0.01 / 0.5)
+    np.testing.assert_allclose(np.diff(times[10:]), 0.1 / TURN / 0.5)
 
 
 def test_exposure_follows_the_light(rng: np.random.Generator) -> None:

@@ -92,6 +92,9 @@ ROWS = {
     "views8_rnd": "views=8 select=rnd",
     "views8": "views=8",
     "views16_rnd": "views=16 select=rnd",
+    "views4_diverse": "views=4 select=diverse",
+    "views8_diverse": "views=8 select=diverse",
+    "views16_diverse": "views=16 select=diverse",
 }
 
 

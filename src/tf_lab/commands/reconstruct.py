@@ -15,6 +15,7 @@ from tf_lab.benchmarks.plane_sweep import plane_sweep
 from tf_lab.commands.inputs import open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ReconstructConfig
+from tf_lab.data.camera_noise import Disturbed
 from tf_lab.data.capture import Capture
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
@@ -53,7 +54,7 @@ def run(config: ReconstructConfig) -> None:
     if config.input is None and config.output is None:
         output = output.with_stem(file_name(capture.name))
     start = time.time()
-    result = _reconstruct(network, capture, config)
+    result = _reconstruct(network, Disturbed(capture, config.camera_noise), config)
     seconds = time.time() - start
     mesh = result.mesh
     if config.source_frame:

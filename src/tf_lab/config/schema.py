@@ -24,7 +24,7 @@ from tf_lab.config.groups import (
     TrainingSettings,
 )
 from tf_lab.data.reading import ReadSettings
-from tf_lab.data.settings import MOST_SIDE, PhotometricSettings
+from tf_lab.data.settings import MOST_SIDE, CameraNoise, PhotometricSettings
 from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
@@ -199,6 +199,9 @@ class ReconstructConfig(CaptureConfig):
     )
     source_frame: bool = setting(
         False, "write the mesh in the source's world instead of the z-up one"
+    )
+    camera_noise: CameraNoise = setting(
+        CameraNoise(), "make the cameras wrong first, to see what that costs"
     )
 
 

@@ -17,9 +17,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
+from tf_lab.data.camera_noise import disturb_cameras, share_of
 from tf_lab.data.jpeg import decode_jpeg
 from tf_lab.data.readers.images import natural_order
-from tf_lab.data.settings import ChunkSettings
+from tf_lab.data.settings import CameraNoise, ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE, VoxelGrid
 
@@ -134,7 +135,8 @@ def make_batch(
     How many views are kept and by which rule is a function of seed and step, the same in all
     processes: none waits for another that keeps more. What its random choices are is a function of
     seed, step and the chunk, whichever process has it. Which images are used, of records that hold
-    more than ``settings.images``, is a function of seed, rank and step.
+    more than ``settings.images``, and how wrong their cameras are made, are functions of seed, rank
+    and step.
 
     Raises:
         TFLabError: an image is damaged, or they are of several sizes.
@@ -152,10 +154,14 @@ def make_batch(
     images = np.empty((len(records), len(chosen[0]), 3, height, width), np.uint8)
     for (record, view), row in zip(views, images, strict=True):
         record.decode(view, row)
+    cameras = [(r.K[v], r.world_T_cam[v]) for r, v in views]
+    if settings.camera_noise != CameraNoise():
+        rng = np.random.default_rng([seed, rank, step, 4])
+        cameras = [_disturbed(*given, settings.camera_noise, rng) for given in cameras]
     return ChunkBatch(
         images=torch.from_numpy(images),
-        K=torch.stack([r.K[v] for r, v in views]),
-        world_T_cam=torch.stack([r.world_T_cam[v] for r, v in views]),
+        K=torch.stack([K for K, _ in cameras]),
+        world_T_cam=torch.stack([pose for _, pose in cameras]),
         times=torch.stack([_times([r.frames[i] for i in v]) for r, v in views]),
         coarse_target=torch.stack([r.coarse_target for r in records]),
         fine_target=torch.stack([r.fine_target for r in records]),
@@ -166,6 +172,15 @@ def make_batch(
         rule=rule,
         scenes=[PurePosixPath(r.scene).name for r in records],
     )
+
+
+def _disturbed(
+    K: Tensor, world_T_cam: Tensor, noise: CameraNoise, rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """The cameras of a chunk, by a share of the noise, uniform in 0..1: some are nearly right."""
+    noise = share_of(noise, rng.uniform())
+    wrong = disturb_cameras(K.numpy(), world_T_cam.numpy(), noise, rng)
+    return torch.from_numpy(wrong[0]), torch.from_numpy(wrong[1])
 
 
 def _times(names: Sequence[str]) -> Tensor:

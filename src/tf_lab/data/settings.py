@@ -10,6 +10,21 @@ MOST_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
 
 
 @dataclass(frozen=True)
+class CameraNoise:
+    """How wrong cameras are made: those of real captures never are exact."""
+
+    translation: float = setting(
+        0.0, "deviation of each camera's place along each axis, metres", shapes="weights", least=0
+    )
+    rotation: float = setting(
+        0.0, "deviation of its rotation about each axis, degrees", shapes="weights", least=0
+    )
+    focal: float = setting(
+        0.0, "deviation of the logarithm of all focal lengths", shapes="weights", least=0, most=0.2
+    )
+
+
+@dataclass(frozen=True)
 class ChunkSettings:
     """How chunks are drawn (paper, Sec. 3.5)."""
 
@@ -45,6 +60,9 @@ class ChunkSettings:
     )
     augment: bool = setting(
         True, "chunks turned about the vertical by random angles", shapes="weights"
+    )
+    camera_noise: CameraNoise = setting(
+        CameraNoise(), "a random share of it (0..1) a chunk: cameras as wrong as real ones"
     )
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tf_lab.data.flats.contents import furnish_room, tops
-from tf_lab.data.flats.phone import Filming, Phone, make_phone, motion_at
+from tf_lab.data.flats.phone import Filming, Phone, make_phone, motion_at, pass_times
 from tf_lab.data.flats.plan import FlatPlan, make_flat_plan
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.arrange import THEMES, hang_lamp
@@ -21,7 +21,7 @@ from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import Habits, make_walk
 from tf_lab.data.scene import Frame
 
-VERSION: int = 1
+VERSION: int = 2
 """Changes whenever the output for the same seed does."""
 
 CHEST, EYES = 1.1, 1.7  # metres, between which the camera is held
@@ -88,9 +88,10 @@ def generate_flat(seed: int, settings: RoomSettings) -> Iterator[Frame]:
     space = flat.space()
     habits = make_habits(flat, space, phone)
     trail, filmed = make_walk(space, renderer.scene, targets, frames, rng, habits)
+    times = pass_times(trail, phone.pace)
     filming = Filming(phone, renderer, K, frames, rng)
     for number, i in enumerate(filmed):
-        image, depth = filming.frame(number, trail[i], motion_at(trail, i, 0.01 / phone.pace))
+        image, depth = filming.frame(number, trail[i], motion_at(trail, times, i))
         yield Frame(f"{number:06d}", image, K, trail[i], depth)
 
 

@@ -14,6 +14,7 @@ from tf_lab.data.rooms.walk import wave
 Rng = np.random.Generator
 ADAPTS = 0.2  # the share of the way to the right exposure that is made between two frames
 TAPS = 9  # images of which a blurred one is the mean, at most
+TURN = 1.2  # radians: who films turns by at most so much in the time that a metre of way takes
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Phone:
         field_of_view: horizontal, radians.
         shutter: seconds that each row is exposed.
         readout: seconds from the first row's exposure to the last's.
-        pace: walking speed, metres a second.
+        pace: walking speed, metres a second, where the camera turns little.
         height: usual height of the camera, metres.
         key: mean linear brightness that the exposure aims at.
     """
@@ -48,7 +49,7 @@ def make_phone(rng: Rng) -> Phone:
         field_of_view=np.radians(rng.uniform(50, 75)),
         shutter=rng.uniform(0.006, 0.03),
         readout=rng.uniform(0.012, 0.03),
-        pace=rng.uniform(0.4, 0.7),
+        pace=rng.uniform(0.2, 0.45),
         height=rng.uniform(1.25, 1.6),
         key=rng.uniform(0.2, 0.34),
     )
@@ -81,10 +82,17 @@ class Motion:
         return (flow * [K[0, 0], K[1, 1]]).astype(np.float32)
 
 
-def motion_at(trail: np.ndarray, number: int, seconds: float) -> Motion:
-    """The motion at one of the poses [N, 4, 4], ``seconds`` apart."""
+def pass_times(trail: np.ndarray, pace: float) -> np.ndarray:
+    """When poses [N, 4, 4] are passed, [N] (s): one walks at ``pace``, and more slowly in turns."""
+    way = np.linalg.norm(np.diff(trail[:, :3, 3], axis=0), axis=1)
+    turned = Rotation.from_matrix(trail[:-1, :3, :3].swapaxes(1, 2) @ trail[1:, :3, :3])
+    return np.concatenate([[0], np.cumsum(np.maximum(way, turned.magnitude() / TURN))]) / pace
+
+
+def motion_at(trail: np.ndarray, times: np.ndarray, number: int) -> Motion:
+    """The motion at one of the poses [N, 4, 4], passed at times [N] (s)."""
     first, last = max(number - 1, 0), min(number + 1, len(trail) - 1)
-    time = (last - first) * seconds
+    time = times[last] - times[first]
     turn = Rotation.from_matrix(trail[first, :3, :3].T @ trail[last, :3, :3]).as_rotvec()
     return Motion((trail[last, :3, 3] - trail[first, :3, 3]) / time, turn / time)
 
