@@ -1,5 +1,7 @@
 """Frusta against the projection of random points."""
 
+import itertools
+
 import pytest
 import torch
 
@@ -35,3 +37,19 @@ def test_the_box_of_a_frustum_holds_all_that_the_camera_sees(seed: int) -> None:
     inside = (points @ planes[:, :3].T + planes[:, 3] >= 0).all(1)
     assert torch.equal(inside, in_view(uv, z, (64, 48), 0.3, 2.0))
     assert 0 < inside.sum() < len(inside)
+
+
+def test_corners_are_those_of_the_image_near_and_far() -> None:
+    """Also of several cameras at once, and planes with them."""
+    K = torch.tensor([[40.0, 0, 31], [0, 42.0, 20], [0, 0, 1]], dtype=torch.float64)
+    poses = torch.eye(4, dtype=torch.float64).repeat(3, 1, 1)
+    poses[1, :3, 3] = torch.tensor([1.0, -2, 3])
+    poses[2, :3, :3] = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    corners = frustum_corners(K, poses, (64, 48), 0.3, 2.0)
+    planes = frustum_planes(K.expand(3, 3, 3), poses, (64, 48), 0.3, 2.0)
+    for pose, eight, six in zip(poses, corners, planes, strict=True):
+        uv, z = project(eight, K, invert_pose(pose))
+        found = {tuple(x) for x in torch.column_stack([uv, z]).round(decimals=6).tolist()}
+        assert found == {*itertools.product((-0.5, 63.5), (-0.5, 47.5), (0.3, 2.0))}
+        touched = (eight @ six[:, :3].T + six[:, 3]).abs() < 1e-9
+        assert (touched.sum(1) == 3).all() and (touched.sum(0) == 4).all()  # as of any hexahedron

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from tf_lab.online.lattice.blocks import Blocks
-from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
+from tf_lab.online.views.selection import (
+    AttentionSelection,
+    Candidates,
+    RandomSelection,
+    SelectionPolicy,
+)
 from tf_lab.online.views.store import ViewStore
 
 VOXELS, HEADS = 9, 2
@@ -125,3 +130,26 @@ def test_huge_logits_stay_finite() -> None:
         store.add(frame, row, row[:, None].expand(-1, 3), torch.tensor([[value]]))
     assert store.frames.tolist() == [[0, 2]]
     assert store.logits.isfinite().all()
+
+
+class Refuses:
+    """Keeps no new view, once all slots are full."""
+
+    needs_logits, needs_centers = False, True
+
+    def drop(self, candidates: Candidates) -> Tensor:
+        self.centers = candidates.centers
+        return torch.full_like(candidates.seen, candidates.frames.shape[1] - 1)
+
+
+def test_a_view_that_is_not_kept_changes_nothing_that_is_told() -> None:
+    policy = Refuses()
+    store = ViewStore(1, HEADS, policy)
+    store.grow(2)
+    rows, keys, centers = torch.arange(2), torch.zeros(2, 3).long(), torch.rand(2, 2, 3)
+    assert store.add(5, rows, keys, None, centers).tolist() == [0, 0]
+    assert store.add(6, rows, keys, None, centers).tolist() == [-1, -1]
+    assert policy.centers is centers
+    assert store.frames.tolist() == [[5], [5]]
+    assert store.dirty.all()  # since the first
+    assert store.seen.tolist() == [2, 2]
