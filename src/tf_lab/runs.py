@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from tf_lab.cli.command import print_anything
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.inventory import (
@@ -35,6 +36,7 @@ from tf_lab.support.text import read_text
 
 def main() -> None:
     """List, show or remove."""
+    print_anything()
     with stoppable("what was removed is gone, all else is as it was"):
         _main()
 

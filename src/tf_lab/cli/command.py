@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from collections.abc import Callable, Sequence
 
 from tf_lab.support.stops import stoppable
@@ -34,9 +36,16 @@ def command(
     """
 
     def main() -> None:
+        print_anything()
         with stoppable(keeps):
             from tf_lab.cli.run import run_command  # takes a second, in which signals are heard
 
             run_command(name, about or "", target, unused, jobs)
 
     return main
+
+
+def print_anything() -> None:
+    """Print a question mark for what standard output has no letter for, instead of ending there."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
