@@ -1,7 +1,5 @@
 """Commands at the same time, in the same folder; and in surroundings that are not as usual."""
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +11,6 @@ from helpers.tiny_jobs import TINY, environment
 from helpers.warm import Warm
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
-NOBODY = 54321  # a user that the system does not know
 MINUTES = 1800.0
 
 
@@ -52,16 +49,13 @@ SURROUNDINGS = {
 }
 
 
-def run(
-    case: Case, to: Path, user: int | None = None, **variables: str | None
-) -> subprocess.CompletedProcess[str]:
+def run(case: Case, to: Path, **variables: str | None) -> subprocess.CompletedProcess[str]:
     """A command as a process of its own, from another working directory."""
     given = {name: value for name, value in {**environment(), **variables}.items() if value}
     return subprocess.run(
         [sys.executable, "-m", f"tf_lab.{case.command}", *case.words(to)],
         cwd="/",
         env=given,
-        user=user,
         capture_output=True,
         text=True,
     )
@@ -76,18 +70,3 @@ def test_surroundings(name: str, surroundings: str, cases: dict[str, Case], tmp_
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert results(cases[name], to) == results(cases[name], undisturbed(cases[name], alone))
-
-
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can be another user")
-@pytest.mark.parametrize("name", ["train", "prepare", "report", "evaluate", "reconstruct"])
-def test_an_unknown_user_who_may_not_write_there(
-    name: str, cases: dict[str, Case], tmp_path: Path
-) -> None:
-    shutil.chown(tmp_path, 0)
-    for folder in (tmp_path, *tmp_path.parents):
-        folder.chmod(folder.stat().st_mode | 0o055)
-    done = run(cases[name], tmp_path, NOBODY)
-    assert done.returncode == 2, done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert str(tmp_path) in done.stderr
-    assert [*tmp_path.iterdir()] == []

@@ -49,6 +49,12 @@ def becomes_another():
         endless()
     except Stopped:
         raise ValueError
+def finalises():  # where Python tells of exceptions, and goes on
+    class Last:
+        def __del__(self):
+            endless()
+    Last()
+    time.sleep(99)
 with stoppable("all is kept"):
     alive = open(sys.argv[1], "w")
     forked()
@@ -66,6 +72,7 @@ with stoppable("all is kept"):
         (signal.SIGHUP, "lingers", True),
         (signal.SIGTERM, "imports", True),
         (signal.SIGINT, "joins", True),
+        (signal.SIGTERM, "finalises", True),
     ],
 )
 def test_one_line_and_the_shells_status(

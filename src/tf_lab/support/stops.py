@@ -50,6 +50,7 @@ def stoppable(keeps: str) -> Iterator[None]:
     stop = _Stop(keeps)
     numbers = [n for n in SIGNALS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN]
     before = {number: signal.signal(number, stop.hear) for number in numbers}
+    hook_before, sys.unraisablehook = sys.unraisablehook, stop.lost
     fd_before, _process = signal.set_wakeup_fd(stop.pipe, warn_on_full_buffer=False), os.getpid()
     interrupted = False
     try:
@@ -63,6 +64,7 @@ def stoppable(keeps: str) -> Iterator[None]:
         if not stop.number:
             _process = 0
             signal.set_wakeup_fd(fd_before)
+            sys.unraisablehook = hook_before
             for number, handler in before.items():
                 signal.signal(number, handler)
             os.close(stop.pipe)
@@ -88,6 +90,12 @@ class _Stop:
             if _is_fragile(frame):
                 self.end(number)
             raise Stopped(signal.Signals(number).name)
+
+    def lost(self, what: sys.UnraisableHookArgs) -> None:
+        """End where the exception would get lost with a traceback: in a finaliser."""
+        if issubclass(what.exc_type, Stopped):
+            self.end(self.number)
+        sys.__unraisablehook__(what)
 
     def end(self, number: int) -> NoReturn:
         """End without what the interpreter does at its end, at which the thread may crash it."""
