@@ -92,8 +92,8 @@ def test_no_circle() -> None:
 
 
 def test_the_top_is_commands() -> None:
-    """At most twelve modules there."""
-    assert len(list(PACKAGE.glob("*.py"))) <= 12
+    """At most thirteen modules there."""
+    assert len(list(PACKAGE.glob("*.py"))) <= 13
 
 
 SHORT = (

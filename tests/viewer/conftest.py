@@ -8,8 +8,8 @@ import trimesh
 
 from helpers.online.scenes import FAR, FRAMES, balanced, settings_of
 from tf_lab.data.scene import Scene
+from tf_lab.online.kept import Pick
 from tf_lab.online.surface import Chunk
-from tf_lab.viewer.picked import Pick
 from tf_lab.viewer.session import Session, State
 
 

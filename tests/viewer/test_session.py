@@ -10,11 +10,11 @@ from helpers.online.scenes import FRAMES, assert_same_surface, clearance, recons
 from helpers.resources import Use
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.geometry import FINE
 from tf_lab.meshes.weld import weld
+from tf_lab.support.colors import error_colors, frame_colors
 from tf_lab.viewer import session as module
-from tf_lab.viewer.colors import error_colors, frame_colors
-from tf_lab.viewer.paint import Truth
 from tf_lab.viewer.session import Session
 
 

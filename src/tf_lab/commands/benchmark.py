@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from tf_lab.benchmarks.measure import BenchmarkSettings
-from tf_lab.benchmarks.report import draw, tables
+from tf_lab.benchmarks.report import tables
 from tf_lab.benchmarks.suite import run_all
 from tf_lab.config.build import build_network, initialise_encoder, ready, reconstruction_settings
 from tf_lab.config.schema import BenchmarkConfig
@@ -16,7 +16,9 @@ from tf_lab.config.stored import portable_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import provenance, without_places
 from tf_lab.network.network import Network
+from tf_lab.reporting.figures.runtimes import runtimes
 from tf_lab.support.devices import device_of
+from tf_lab.support.figures import write_figure
 from tf_lab.support.files import atomic_path, check_folder, write_json
 
 
@@ -41,8 +43,7 @@ def run(config: BenchmarkConfig) -> None:
     write_json(output / "benchmark.json", results)
     with atomic_path(output / "benchmark.txt") as temporary:
         temporary.write_text(text + "\n")
-    with atomic_path(output / "benchmark.png") as temporary:
-        draw(results, temporary)
+    write_figure(runtimes(results).figure, output / "benchmark.png")
     print(f"{output}: benchmark.txt, benchmark.json, benchmark.png")
 
 

@@ -9,7 +9,7 @@ from tf_lab.reporting.formats import markdown
 from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import describe, write_report
 from tf_lab.reporting.results import keep_run
-from tf_lab.reporting.studies import open_study
+from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import short_table
 from tf_lab.support.files import check_folder
 
@@ -29,6 +29,7 @@ def run(config: ReportConfig) -> None:
         from tf_lab.reporting.gallery import draw_pictures  # imports trimesh
 
         pictures = draw_pictures(study, output / "pictures")
+    remarks += _draw_figures(config, study, output / "figures")
     if config.pages:
         from tf_lab.reporting.pages import write_pages  # imports trimesh
 
@@ -37,3 +38,14 @@ def run(config: ReportConfig) -> None:
     pages = "report.html, " * config.pages
     files = f"{pages}tables.md, orderings.md, charts, and {pictures} pictures of test scenes"
     print(f"\n{output}: {files}")
+
+
+def _draw_figures(config: ReportConfig, study: Study, folder: Path) -> list[str]:
+    """Draw what the runs have something for; a line on each figure that they have not."""
+    if not config.figures:
+        return []
+    from tf_lab.commands.figures import material_of  # imports torch
+    from tf_lab.reporting.figures.catalog import check_names, draw_figures
+
+    check_names(config.figures)
+    return draw_figures(config.figures, material_of(study, config.benchmark), folder)[1]

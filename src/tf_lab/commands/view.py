@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import trimesh
 
-from tf_lab.commands.inputs import open_input, own_groundtruth
+from tf_lab.commands.inputs import of_run, open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ViewConfig
 from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
-from tf_lab.data.scene import Scene
-from tf_lab.data.sources.source import open_source
-from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import read_glb
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
-from tf_lab.reporting.results import read_run
 from tf_lab.support.devices import device_of
 from tf_lab.viewer.live import show_session
-from tf_lab.viewer.paint import Truth
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.still import show_meshes
 
@@ -39,9 +34,10 @@ def run(config: ViewConfig) -> None:
         show_meshes(server, meshes, truth)
         server.wait()
         return
-    capture = None
+    capture: Capture | None = None
     if config.run is not None:
-        config, capture = of_run(config, Path(config.run))
+        config, scenes = of_run(config, Path(config.run))
+        capture = next(iter(scenes.values()))
     checkpoint = Path(config.checkpoint) if config.checkpoint else shipped_checkpoint()
     network, info = load_network(checkpoint)
     network = ready(network, config.online, device_of(config.device))
@@ -67,26 +63,6 @@ def run(config: ViewConfig) -> None:
 def _read(path: Path) -> trimesh.Trimesh:
     """A mesh of either kind that `tf_lab.reconstruct` writes."""
     return read_glb(path) if path.suffix == ".glb" else read_mesh(path)
-
-
-def of_run(config: ViewConfig, directory: Path) -> tuple[ViewConfig, Capture]:
-    """A run's network and settings as a config, and one of its test scenes.
-
-    Raises:
-        TFLabError: they are not on this machine.
-    """
-    run = read_run(directory)
-    name = config.scene or next(iter(run.scenes))
-    if name not in run.scenes:
-        raise TFLabError(f"scene={name}: {directory} has {', '.join(run.scenes)}")
-    checkpoint = config.checkpoint or run.makers[0].get("checkpoint")
-    there = open_source(run.config.data).directory(name, run.makers[0].get("scenes", {}).get(name))
-    for what, path in (("checkpoint", checkpoint), ("test scene", there)):
-        if path is None or not Path(path).exists():
-            raise TFLabError(f"{directory}: its {what} ({path}) is not on this machine")
-    names = ("views", "resolution", "threshold", "keyframe_distance", "select", "online")
-    of_run = {name: getattr(run.config, name) for name in names}
-    return replace(config, checkpoint=checkpoint, **of_run), Scene(there)
 
 
 def _truth_of(capture: Capture, path: str | None) -> Any:

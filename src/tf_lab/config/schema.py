@@ -36,6 +36,11 @@ from tf_lab.online.views import POLICIES
 from tf_lab.support.registry import Part, Registry
 from tf_lab.support.settings import MOST_SEED, setting
 
+FIGURES = (
+    *("views", "selected", "comparison", "ablations", "errors", "room"),
+    *("fscore_k", "fscore_rows", "runtimes"),
+)
+"""The figures there are, by name; see `tf_lab.reporting.figures.catalog`."""
 PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
 
 
@@ -228,6 +233,39 @@ class ViewConfig(CaptureConfig):
 
 
 @dataclass(frozen=True)
+class FiguresConfig(CaptureConfig):
+    """python -m tf_lab.figures"""
+
+    figures: list[str] = setting(list(FIGURES), "which to draw")
+    run: str | None = setting(
+        None, "a run's folder: its test scenes, with its network and settings", kind="path"
+    )
+    scene: str | None = setting(None, "which test scene; null: the first")
+    scenes: int = setting(2, "rows of the comparison: as many test scenes", least=1)
+    points: list[list[float]] | None = setting(
+        None, "at which views are selected, [[x,y,z],...] in metres; null: some are chosen"
+    )
+    runs: Any = setting(
+        "outputs/runs",
+        "a study's folder of runs, or a list of such; comparison, ablations and errors are of its "
+        "meshes, where it has any",
+        kind="path",
+        several=True,
+    )
+    study: str | None = setting(None, "key of the study, where the runs are of several")
+    benchmark: str = setting(
+        "outputs/benchmark/benchmark.json", "what python -m tf_lab.benchmark wrote", kind="path"
+    )
+    output: str = setting(
+        "outputs/figures", "a folder: NAME.png, of charts .pdf; captions as .txt", kind="path"
+    )
+
+    def __post_init__(self) -> None:
+        if self.input is not None and self.run is not None:
+            raise TFLabError("give one of input= and run=")
+
+
+@dataclass(frozen=True)
 class CheckConfig(ReadSettings):
     """python -m tf_lab.check"""
 
@@ -266,6 +304,13 @@ class ReportConfig:
     pictures: bool = setting(
         True, "draw each test scene under every row, where the runs have meshes"
     )
+    figures: list[str] = setting(
+        [name for name in FIGURES if not name.startswith("fscore")],
+        "the paper's other figures, where the runs have what they show; [] for none",
+    )
+    benchmark: str = setting(
+        "outputs/benchmark/benchmark.json", "what python -m tf_lab.benchmark wrote", kind="path"
+    )
     pages: bool = setting(True, "the study and each run as one HTML file, to open offline or mail")
     keep: bool = setting(False, "copy the runs' small files to OUTPUT/runs, to be committed")
 
@@ -301,6 +346,7 @@ COMMANDS: dict[str, type] = {
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
     "view": ViewConfig,
+    "figures": FiguresConfig,
     "benchmark": BenchmarkConfig,
 }
 OPTIONS: dict[tuple[str, str], type] = {

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tf_lab.data.capture import Capture
+from tf_lab.evaluation.truth import Truth
 from tf_lab.network.network import Network
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.viewer.paint import Truth
 from tf_lab.viewer.panel import Panel
 from tf_lab.viewer.scene import Drawing, look_from_above
 from tf_lab.viewer.serve import LocalServer

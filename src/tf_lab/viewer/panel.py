@@ -11,11 +11,11 @@ import trimesh
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE
+from tf_lab.online.kept import Pick
 from tf_lab.online.surface import Chunk
 from tf_lab.online.views import POLICIES
 from tf_lab.viewer.html import kept_views, legend_of
 from tf_lab.viewer.paint import MODES
-from tf_lab.viewer.picked import Pick
 from tf_lab.viewer.scene import Drawing
 from tf_lab.viewer.session import Session, State
 

@@ -18,12 +18,13 @@ import trimesh
 
 from tf_lab.data.capture import Capture
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.network.network import Network
+from tf_lab.online.kept import Pick, pick
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.surface import Chunk
 from tf_lab.viewer.growth import Growth, Pieces
-from tf_lab.viewer.paint import MODES, Truth, painter
-from tf_lab.viewer.picked import Pick, pick
+from tf_lab.viewer.paint import MODES, painter
 
 log = logging.getLogger(__name__)
 
@@ -270,7 +271,7 @@ class Session:
     def _look(self) -> None:
         assert self.point is not None
         self._pick_again = False
-        self.listener.picked(pick(self.growth, self.point))
+        self.listener.picked(pick(self.growth.reconstructor, self.growth.sources, self.point))
 
     def _state(self, busy: str) -> State:
         trouble, self._trouble = self._trouble, ""
