@@ -24,7 +24,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("config",),
     ("experiments",),
     ("reporting",),
-    ("training", "benchmarks", "viewer"),
+    ("training", "viewer"),
+    ("benchmarks",),
     ("cli", "commands"),
 )
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

@@ -27,13 +27,13 @@ def free_port() -> int:
 @pytest.fixture
 def session(make_session: Callable[[], Session]) -> Iterator[Session]:
     """One with a page, at work."""
-    from tf_lab.viewer.live import show_session
+    from tf_lab.viewer.live import show_sessions
     from tf_lab.viewer.serve import LocalServer
 
     server = LocalServer(free_port())
     plain = make_session()
-    session = show_session(
-        server, plain.network, plain.capture, plain.frames, plain.settings, lambda: None
+    (session,) = show_sessions(
+        server, {"box": plain.network}, plain.capture, plain.frames, plain.settings, lambda: None
     )
     session.server = server  # type: ignore[attr-defined]
     thread = session.start()
@@ -74,6 +74,7 @@ def step(page: Page, count: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.browser
 def test_the_page(session: Session) -> None:
     with browser() as page:
         page.open(session.server.address)  # type: ignore[attr-defined]
@@ -113,6 +114,12 @@ def test_the_page(session: Session) -> None:
         page.wait("document.querySelectorAll('.kept-view').length == 2", 120)
         page.wait(READY)
         attention = views(page)
+        before = settled(page)
+        page.click_first("input[value=image]")
+        page.click_text("best view", "[role=option]")
+        page.wait("document.body.textContent.includes('of greatest weight')")
+        page.wait(READY)
+        assert (np.abs(settled(page).astype(int) - before).max(-1) > 20).mean() > 0.002
         page.click_first("input[value=attention]")
         page.click_text("random", "[role=option]")
         page.wait(f"JSON.stringify({VIEWS}) != {repr_of(page)} && {READY}", 120)

@@ -16,7 +16,17 @@ Rows = Sequence[Sequence[str]]
 
 def tables(found: Mapping[str, Any]) -> str:
     """All measurements as text."""
-    parts = [
+    parts = []
+    if "frame" in found:
+        parts += _papers(found)
+    if "live" in found:
+        parts.append(_table("Live viewing", *_live(found["live"])))
+    return "\n\n".join(parts)
+
+
+def _papers(found: Mapping[str, Any]) -> list[str]:
+    """The paper's tables, and what explains them."""
+    return [
         described(found),
         _table("Adding a frame (ms)", *_frame(found)),
         _table("Frames per second", *_fps(found)),
@@ -29,7 +39,19 @@ def tables(found: Mapping[str, Any]) -> str:
         _table("Peak memory", *_memory(found)),
         "paper: Bozic et al. 2021, supplement, on an RTX 3090",
     ]
-    return "\n\n".join(parts)
+
+
+def _live(live: Mapping[str, float]) -> tuple[list[str], Rows]:
+    memory = ("memory at the last frame", "memory when whole", "memory later")
+    rows = [
+        ["frames a second", f"{live['frames a second']:.2f}"],
+        ["s between refreshes of the mesh, mean", f"{live['mean gap']:.2f}"],
+        ["s between refreshes of the mesh, worst", f"{live['worst gap']:.2f}"],
+        ["s from the last frame to the whole mesh", f"{live['whole after']:.2f}"],
+        *([f"MiB, {name}", f"{live[name] / MIB:,.0f}"] for name in memory),
+        ["MiB sent to a page", f"{live['bytes sent'] / MIB:,.1f}"],
+    ]
+    return [f"{live['frames']:.0f} frames, {live['width']:.0f}x{live['height']:.0f}", ""], rows
 
 
 def _modes(found: Mapping[str, Any]) -> list[str]:

@@ -52,17 +52,19 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     if config.scene not in (None, *run.scenes):
         raise TFLabError(f"scene={config.scene}: {directory} has {', '.join(run.scenes)}")
     checkpoint = config.checkpoint or run.makers[0].get("checkpoint")
+    several = checkpoint if isinstance(checkpoint, list) else [checkpoint]
     source, digests = open_source(run.config.data), run.makers[0].get("scenes", {})
     places = {name: source.directory(name, digests.get(name)) for name in chosen}
     there = {name: path for name, path in places.items() if path.exists()}
-    if checkpoint is None or not Path(checkpoint).exists():
-        raise TFLabError(f"{directory}: its checkpoint ({checkpoint}) is not on this machine")
+    for path in several:
+        if path is None or not Path(path).exists():
+            raise TFLabError(f"{directory}: its checkpoint ({path}) is not on this machine")
     if not there:
         path = places[chosen[0]]
         raise TFLabError(f"{directory}: its test scene ({path}) is not on this machine")
     names = ("views", "resolution", "threshold", "keyframe_distance", "select", "online")
     settings = {name: getattr(run.config, name) for name in names}
-    config = replace(config, checkpoint=str(checkpoint), **settings)
+    config = replace(config, checkpoint=checkpoint, **settings)
     return config, {name: Scene(path) for name, path in there.items()}
 
 

@@ -14,12 +14,13 @@ from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ViewConfig
 from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import read_glb
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.support.devices import device_of
-from tf_lab.viewer.live import show_session
+from tf_lab.viewer.live import show_sessions
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.still import show_meshes
 
@@ -38,15 +39,18 @@ def run(config: ViewConfig) -> None:
     if config.run is not None:
         config, scenes = of_run(config, Path(config.run))
         capture = next(iter(scenes.values()))
-    checkpoint = Path(config.checkpoint) if config.checkpoint else shipped_checkpoint()
-    network, info = load_network(checkpoint)
-    network = ready(network, config.online, device_of(config.device))
-    capture = capture or open_input(config, info)
+    given = config.checkpoint if isinstance(config.checkpoint, list) else [config.checkpoint]
+    checkpoints = [Path(path) if path else shipped_checkpoint() for path in given]
+    loaded = [load_network(path) for path in checkpoints]
+    device = device_of(config.device)
+    networks = [ready(network, config.online, device) for network, _ in loaded]
+    capture = capture or open_input(config, loaded[0][1])
+    names = [capture.name] if len(given) == 1 else _names(checkpoints)
     settings = capture_settings(config)
     frames = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
-    session = show_session(
-        server, network, capture, frames, settings, _truth_of(capture, config.groundtruth)
-    )
+    truth = _truth_of(capture, config.groundtruth)
+    named = dict(zip(names, networks, strict=True))
+    sessions = show_sessions(server, named, capture, frames, settings, truth)
     if config.play:
         first = threading.Event()
 
@@ -54,10 +58,21 @@ def run(config: ViewConfig) -> None:
         def _(_: Any) -> None:
             if not first.is_set():
                 first.set()
-                session.play(True)
+                for session in sessions:
+                    session.play(True)
 
-    session.start()
+    for session in sessions:
+        session.start()
     server.wait()
+
+
+def _names(checkpoints: list[Path]) -> list[str]:
+    """Short names that differ: of files, or with the folders that they lie in."""
+    for parts in range(1, max(len(path.parts) for path in checkpoints) + 1):
+        names = [str(Path(*path.parts[-parts:])) for path in checkpoints]
+        if len(set(names)) == len(names):
+            return names
+    raise TFLabError(f"checkpoint={checkpoints[0]}: is given twice")
 
 
 def _read(path: Path) -> trimesh.Trimesh:

@@ -214,6 +214,13 @@ class ReconstructConfig(CaptureConfig):
 class ViewConfig(CaptureConfig):
     """python -m tf_lab.view"""
 
+    checkpoint: Any = setting(
+        None,
+        "model.safetensors of a training run, or a list of such side by side; null: the one that "
+        "comes with tf_lab",
+        kind="path",
+        several=True,
+    )
     run: str | None = setting(
         None, "a run's folder: its test scene, with its network and settings", kind="path"
     )
@@ -319,6 +326,7 @@ class ReportConfig:
 class BenchmarkConfig(NetworkSettings):
     """python -m tf_lab.benchmark"""
 
+    data: Any = MISSING
     optimizer: Any = None
     training: Any = None
     online: OnlineSettings = field(default_factory=lambda: OnlineSettings(precision="auto"))
@@ -329,6 +337,12 @@ class BenchmarkConfig(NetworkSettings):
     timed: int = setting(20, "frames over which lazy fusion is timed", least=1)
     eager_timed: int = setting(2, "the same for eager fusion, which takes much longer", least=1)
     eager: bool = setting(True, "false leaves the eager measurements out")
+    parts: list[str] = setting(
+        ["tables", "live"],
+        "what is measured: the paper's tables, with the network below; live viewing of a test room "
+        "by the shipped checkpoint",
+    )
+    live_frames: int = setting(260, "of the room, at most, in live viewing", least=2)
     views: list[int] = setting([4, 8, 16], "K, views kept a voxel", least=1)
     rooms: list[int] = setting([1, 2, 4, 8], "scene sizes", least=1)
     counts: list[int] = setting([10, 500], "frames already there", least=0)

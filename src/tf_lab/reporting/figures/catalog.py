@@ -56,10 +56,10 @@ def draw_figures(
     """Draw figures: NAME.png, of a chart NAME.pdf too, and NAME.txt, its caption.
 
     Returns:
-        The files of those that were drawn, and one line on each that was not, with the reason.
+        The files of those that were drawn, and lines on those that were not, with the reason.
     """
     files: list[Path] = []
-    left_out = []
+    left_out: dict[str, list[str]] = {}
     with progress_bar() as bar:
         task = bar.add_task("drawing", total=len(names))
         for name in names:
@@ -68,9 +68,9 @@ def draw_figures(
                 drawn = FIGURES[name](material)
                 files += _write(drawn, folder / name)
             except TFLabError as error:
-                left_out.append(f"no figure {name}: {error}")
+                left_out.setdefault(str(error), []).append(name)
             bar.advance(task)
-    return files, left_out
+    return files, [f"no {', '.join(each)}: {why}" for why, each in left_out.items()]
 
 
 def _write(drawn: Drawn, path: Path) -> list[Path]:

@@ -99,8 +99,8 @@ def errors(scene: Compared, size: Size = SIZE) -> Drawn:
             axes.set(xticks=[], yticks=[], frame_on=False)
             axes.set_xlabel(f"median {100 * np.median(off):.1f} cm", fontsize=TITLE)
         grid[0, column].set_title(scene.title(name), fontsize=TITLE)
-    grid[0, 0].set_ylabel("mesh: how far off", fontsize=TITLE)
-    grid[1, 0].set_ylabel("ground truth: how far away", fontsize=TITLE)
+    grid[0, 0].set_ylabel("accuracy: mesh to truth", fontsize=TITLE)
+    grid[1, 0].set_ylabel("completeness: truth to mesh", fontsize=TITLE)
     figure.suptitle(f"{scene.scene}: errors", fontsize=HEADING, fontweight="bold")
     error_bar(figure, grid)
     caption = (

@@ -57,7 +57,10 @@ def room(shown: Shown, width: int = WIDTH) -> Drawn:
             axes.imshow(image, extent=(0, size[0], size[1], 0))
             axes.set(xticks=[], yticks=[], frame_on=False)
         line[0].set_ylabel(name, fontsize=TITLE)
-    titles = (("Reconstruction", "In the images' colours", TRUTH), ("Image", "Reconstruction", ""))
+    titles = (
+        ("Reconstruction", "In the images' colours", TRUTH),
+        ("Image", "Reconstruction", TRUTH),
+    )
     for line, names in zip(grid, titles, strict=False):
         for axes, title in zip(line, names, strict=False):
             axes.set_title(title, fontsize=TITLE)

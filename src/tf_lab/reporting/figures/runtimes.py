@@ -61,7 +61,7 @@ def _speed(axes: Axes, found: Mapping[str, Any]) -> None:
     for i, (mode, bars) in enumerate(values.items()):
         places = [counts.index(k) + (i - (len(values) - 1) / 2) * width for k in bars]
         drawn = axes.bar(places, [*bars.values()], 0.92 * width, label=mode, color=COLORS[mode])
-        axes.bar_label(drawn, fmt="%.3g", fontsize=SMALL, padding=2)
+        axes.bar_label(drawn, fmt="%.2g", fontsize=SMALL, padding=2)
     axes.set_xticks(range(len(counts)), [str(k) for k in counts])
     axes.set(yscale="log", xlabel="views kept a voxel, K", ylabel="frames a second")
     axes.set_title("adding frames", fontsize=TITLE)

@@ -243,4 +243,4 @@ def _scale(colors: Any, low: float, high: float) -> Any:
 
 
 def _place(found: Pick) -> str:
-    return "({:.2f}, {:.2f}, {:.2f})".format(*found.point)
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(np.round(found.point, 2) + 0.0))  # no "-0.00"

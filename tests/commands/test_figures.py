@@ -1,0 +1,39 @@
+"""`python -m tf_lab.figures` as a user runs it."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from helpers.made_up_runs import ROWS, write_study
+from helpers.tiny_jobs import Result, call, told
+from tf_lab.reporting.paper import SCORES
+
+
+def test_of_a_run(main_job: Result, outputs: Path, tmp_path: Path) -> None:
+    """With its network and settings, of its test room."""
+    run = outputs.parent / main_job.path("run")
+    names = ("views", "selected", "comparison", "errors", "room", "runtimes")
+    done = call("figures", f"figures=[{','.join(names)}]", f"run={run}", "output=drawn")
+    assert (done.status, done.err) == (0, "")
+    missing, files = done.out.splitlines()
+    assert missing.startswith("no runtimes: outputs/benchmark/benchmark.json: no such file; run ")
+    assert files == "drawn: " + ", ".join(f"{name}.png" for name in names[:-1])
+    for name in names[:-1]:
+        with Image.open(tmp_path / "drawn" / f"{name}.png") as picture:
+            assert np.asarray(picture.convert("L")).std() > 5
+        assert "room_2000000" in (tmp_path / "drawn" / f"{name}.txt").read_text()
+
+
+def test_of_a_study(tmp_path: Path) -> None:
+    write_study(tmp_path / "outputs", {row: SCORES[row]["fscore"] for row in ROWS})
+    done = call("figures", "figures=[fscore_k,fscore_rows]")
+    assert (done.status, done.err) == (0, "")
+    drawn = {path.name for path in (tmp_path / "outputs" / "figures").iterdir()}
+    assert drawn == {f"fscore_{n}.{s}" for n in ("k", "rows") for s in ("png", "pdf", "txt")}
+
+
+def test_nothing_to_draw() -> None:
+    told(call("figures", "figures=[fscore_k]"), "no fscore_k: outputs/runs: there is no such")
+    told(call("figures", "figures=[nope]"), "figures=[nope]: there is no such figure; there are")
+    told(call("figures", "input=a", "run=b"), "give one of input= and run=")
