@@ -193,10 +193,10 @@ def test_other_colours_come_before_more_frames(session: Session) -> None:
     clay = np.round(255 * np.array(CLAY))
     for _ in range(len(session.growth.pieces)):
         assert session.work() and session.position == position
-    assert all((colors == clay).all() for colors in told.colors.values())
+    assert all((told.colors[chunk] == clay).all() for chunk in told.pieces)
     finish(session)
     assert session.position == len(FRAMES)
-    assert all((colors == clay).all() for colors in told.colors.values())
+    assert all((told.colors[chunk] == clay).all() for chunk in told.pieces)
 
 
 def test_without_ground_truth_there_is_no_error(session: Session) -> None:

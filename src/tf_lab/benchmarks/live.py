@@ -32,7 +32,6 @@ class Watcher:
     now: Callable[[], float]
 
     def __post_init__(self) -> None:
-        self.frames: list[float] = []
         self.meshes: list[float] = []
         self.sent = 0
 
@@ -41,7 +40,6 @@ class Watcher:
 
     def framed(self, source: int) -> None:
         """A frame was added."""
-        self.frames.append(self.now())
 
     def meshed(self, chunk: Chunk, piece: trimesh.Trimesh | None, colors: np.ndarray) -> None:
         """A chunk's surface changed."""
@@ -70,10 +68,11 @@ def live(
 
     Returns:
         "frames", "width", "height"; "frames a second" up to the last; "worst gap" between two
-        refreshes of the mesh from the first one to the last frame, and "mean gap", seconds; "whole
+        refreshes of the mesh from the start to the last frame, and "mean gap", seconds; "whole
         after", seconds from the last frame to a mesh that is up to date; resident bytes when that
         frame was added ("memory at the last frame"), when the mesh was whole ("memory when whole")
-        and after it was coloured otherwise `ROUNDS` times ("memory later"); "bytes sent".
+        and after it was coloured otherwise `ROUNDS` times ("memory later"); "bytes sent" until it
+        was whole.
     """
     watcher = Watcher(now)
     session = Session(network, capture, frames, settings, watcher)
@@ -82,11 +81,10 @@ def live(
     session.play(True)
     while session.position < len(frames):
         session.work()
-    last, at_last, sent = now(), resident_memory(), watcher.sent
-    gaps = np.diff([t for t in watcher.meshes if t <= last] + [last])
+    last, at_last = now(), resident_memory()
+    gaps = np.diff([start, *(told for told in watcher.meshes if told <= last), last])
     finish(session)
-    whole = now()
-    when_whole = resident_memory()
+    whole, when_whole, sent = now(), resident_memory(), watcher.sent
     for mode in ("best view", "image") * ROUNDS:
         session.paint(mode)
         finish(session)
@@ -95,8 +93,8 @@ def live(
         "width": capture.size[0],
         "height": capture.size[1],
         "frames a second": len(frames) / (last - start),
-        "worst gap": float(gaps.max(initial=0)),
-        "mean gap": float(gaps.mean()) if len(gaps) else 0.0,
+        "worst gap": float(gaps.max()),
+        "mean gap": float(gaps.mean()),
         "whole after": whole - last,
         "memory at the last frame": at_last,
         "memory when whole": when_whole,

@@ -12,7 +12,7 @@ from torch import Tensor
 from tf_lab.geometry import invert_pose, project, sample_maps
 
 CELL = 4  # pixels, of the depth buffer
-STEEPEST = 0.25  # metres of depth that a surface may have in one of its cells
+STEEPEST = 0.5  # metres of depth that a surface may have in one of its cells
 
 
 def color_vertices(
