@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,8 @@ def material_of(study: Study, benchmark: str) -> Material:
             return bench.shown()
 
     return Material(
-        shown,
-        partial(compared_rows, study, len(study.scenes)),
+        cache(shown),
+        cache(partial(compared_rows, study, len(study.scenes))),
         partial(all_rows, study),
         lambda: study,
         partial(_measured, benchmark),
@@ -127,8 +127,8 @@ class Workbench:
         config = self.asked
         own = any(x is not None for x in (config.input, config.run, config.checkpoint))
         return Material(
-            self.shown,
-            lambda: self.compared() if own or not self._has_meshes() else self._rows(),
+            cache(self.shown),
+            cache(lambda: self.compared() if own or not self._has_meshes() else self._rows()),
             lambda: self.ablations() if own or not self._has_meshes() else self._all_rows(),
             lambda: self.study,
             partial(_measured, config.benchmark),

@@ -56,9 +56,9 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     source, digests = open_source(run.config.data), run.makers[0].get("scenes", {})
     places = {name: source.directory(name, digests.get(name)) for name in chosen}
     there = {name: path for name, path in places.items() if path.exists()}
-    for path in several:
-        if path is None or not Path(path).exists():
-            raise TFLabError(f"{directory}: its checkpoint ({path}) is not on this machine")
+    for each in several:
+        if each is None or not Path(each).exists():
+            raise TFLabError(f"{directory}: its checkpoint ({each}) is not on this machine")
     if not there:
         path = places[chosen[0]]
         raise TFLabError(f"{directory}: its test scene ({path}) is not on this machine")
