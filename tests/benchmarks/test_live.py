@@ -4,13 +4,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from helpers.online.scenes import FAR, FRAMES, balanced, settings_of
 from tf_lab.benchmarks.live import live
 from tf_lab.benchmarks.report import tables
 from tf_lab.data.scene import Scene
 
 
-def test_what_is_measured(tiny_network: Callable[..., Any], box_scene: Path) -> None:
+def test_what_is_measured(
+    tiny_network: Callable[..., Any], box_scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tf_lab.benchmarks.live.ROUNDS", 1)
     scene = Scene(box_scene)
     network = balanced(tiny_network(far=FAR), scene)
     found = live(network, scene, list(FRAMES), settings_of(resolution=0.1))
