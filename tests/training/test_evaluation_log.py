@@ -66,7 +66,9 @@ def test_with_wandb_offline(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found: dict[str, Any] = json.loads(table.read_text())
     rows = [dict(zip(found["columns"], row, strict=True)) for row in found["data"]]
     assert [row["fscore"] for row in rows] == pytest.approx([0.5, 0.7])
-    assert [row["mesh"] is None for row in rows] == [False, True]
-    mesh = read_glb(media.parent / rows[0]["mesh"]["path"])
+    assert [(row["picture"], row["mesh"]) for row in rows] == [("Image", "Object3D"), (None, None)]
+    (path,) = media.rglob("*.glb")
+    mesh = read_glb(path)
     np.testing.assert_allclose(np.sort(mesh.extents), [1, 2, 3], atol=1e-5)
-    assert (media.parent / rows[0]["picture"]["path"]).stat().st_size > 50
+    (picture,) = media.rglob("*.png")
+    assert picture.stat().st_size > 50

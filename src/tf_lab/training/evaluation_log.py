@@ -6,8 +6,10 @@ import os
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import trimesh
 from PIL import Image
 
 from tf_lab.config.schema import TrainConfig
@@ -15,7 +17,7 @@ from tf_lab.evaluation.scores import Metrics
 from tf_lab.experiments.identity import training_directory
 from tf_lab.meshes.decimate import at_most
 from tf_lab.meshes.files import read_mesh
-from tf_lab.meshes.glb import glb_of
+from tf_lab.meshes.glb import glb_of, vertex_colors
 from tf_lab.support.files import file_name
 from tf_lab.training.loggers import account, is_wandb
 
@@ -40,7 +42,8 @@ def log_run(config: TrainConfig, run: Path, metrics: Metrics) -> None:
 def _to_wandb(config: TrainConfig, run: Path, metrics: Metrics) -> None:
     """As a W&B run of its own, because a training may have many evaluations.
 
-    But under ``wandb agent`` all belongs to the one run that the agent has begun.
+    But under ``wandb agent`` all belongs to the one run that the agent has begun. A table of W&B's
+    can hold points, not faces: the meshes themselves stand beside it.
     """
     import wandb  # slow to import; only who logs there waits for it
 
@@ -61,16 +64,23 @@ def _to_wandb(config: TrainConfig, run: Path, metrics: Metrics) -> None:
     with tempfile.TemporaryDirectory() as folder:  # W&B copies what is logged
         names = [*metrics.mean]
         table = wandb.Table(["scene", *names, "picture", "mesh"])
+        shown: dict[str, Any] = {}
         for scene, scores in metrics.scenes.items():
-            picture, mesh = _picture(run, scene), _mesh(run, scene, Path(folder))
+            picture, mesh = _picture(run, scene), _mesh(run, scene)
             table.add_data(
                 scene,
                 *(scores.get(name) for name in names),
                 wandb.Image(str(picture)) if picture else None,
-                wandb.Object3D(str(mesh)) if mesh else None,
+                wandb.Object3D(_points(mesh)) if mesh else None,
             )
+            if picture:
+                shown[f"test/picture/{scene}"] = wandb.Image(str(picture))
+            if mesh:
+                path = Path(folder) / f"{file_name(scene)}.glb"
+                path.write_bytes(glb_of(mesh))
+                shown[f"test/mesh/{scene}"] = wandb.Object3D(str(path))
         means = {f"test/{key}": value for key, value in metrics.mean.items()}
-        session.log({**means, "test/scenes": table})
+        session.log({**means, **shown, "test/scenes": table})
         session.finish()
 
 
@@ -96,12 +106,16 @@ def _picture(run: Path, scene: str) -> Path | None:
     return path if path.exists() else None
 
 
-def _mesh(run: Path, scene: str, folder: Path) -> Path | None:
-    """A test scene's mesh as a small GLB in a folder; None if there is none, or it is empty."""
+def _mesh(run: Path, scene: str) -> trimesh.Trimesh | None:
+    """A test scene's mesh, small enough to send; None if there is none, or it is empty."""
     path = run / "meshes" / f"{file_name(scene)}.ply"
     mesh = read_mesh(path) if path.exists() else None
-    if mesh is None or not len(mesh.faces):
-        return None
-    written = folder / f"{path.stem}.glb"
-    written.write_bytes(glb_of(at_most(mesh, FACES)))
-    return written
+    return at_most(mesh, FACES) if mesh is not None and len(mesh.faces) else None
+
+
+def _points(mesh: trimesh.Trimesh) -> np.ndarray:
+    """The vertices with their colours: x, y, z (metres), r, g, b: [V, 6]."""
+    colors = vertex_colors(mesh)
+    if colors is None:
+        colors = np.full((len(mesh.vertices), 3), 128)
+    return np.column_stack([mesh.vertices, colors])
