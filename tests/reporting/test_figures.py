@@ -180,6 +180,8 @@ def test_errors_are_in_centimetres() -> None:
     assert float(above.get_xlabel().split()[1]) == pytest.approx(5, abs=0.15)
     whole = float(below.get_xlabel().split()[1])  # the wall is far from the floor
     assert 4.8 < whole < 60
+    with pytest.raises(TFLabError, match="all meshes are empty"):
+        meshes.errors(Compared("a", {"Ours": trimesh.Trimesh()}, truth), SIZE)
     with pytest.raises(TFLabError, match="without ground truth"):
         meshes.errors(Compared("a", {"Ours": truth}, None), SIZE)
 

@@ -88,6 +88,8 @@ def errors(scene: Compared, size: Size = SIZE) -> Drawn:
         raise TFLabError(f"{scene.scene}: without ground truth there are no errors to draw")
     camera, truth = scene.camera(size), Truth(scene.truth)
     methods = {name: mesh for name, mesh in scene.meshes.items() if len(mesh.faces)}
+    if not methods:
+        raise TFLabError(f"{scene.scene}: there is no error to draw; all meshes are empty")
     figure = new_figure(PANEL * len(methods) + 1.2, 2 * PANEL * size[1] / size[0] + 1.1)
     grid = figure.subplots(2, len(methods), squeeze=False)
     for column, (name, mesh) in enumerate(methods.items()):
@@ -97,7 +99,8 @@ def errors(scene: Compared, size: Size = SIZE) -> Drawn:
             axes = grid[row, column]
             axes.imshow(shade(hits, error_colors(off) / 255))
             axes.set(xticks=[], yticks=[], frame_on=False)
-            axes.set_xlabel(f"median {100 * np.median(off):.1f} cm", fontsize=TITLE)
+            if len(off):
+                axes.set_xlabel(f"median {100 * np.median(off):.1f} cm", fontsize=TITLE)
         grid[0, column].set_title(scene.title(name), fontsize=TITLE)
     grid[0, 0].set_ylabel("accuracy: mesh to truth", fontsize=TITLE)
     grid[1, 0].set_ylabel("completeness: truth to mesh", fontsize=TITLE)
@@ -116,9 +119,11 @@ def _panels(
     scene: Compared, names: Sequence[str], K: np.ndarray, pose: np.ndarray, cut: float, size: Size
 ) -> list[np.ndarray]:
     """Pictures of a scene's meshes by one camera; white of one that is not there."""
-    meshes = {**scene.meshes, TRUTH: scene.truth}
+    meshes = dict(scene.meshes)
+    if scene.truth is not None:
+        meshes[TRUTH] = scene.truth
     empty = trimesh.Trimesh()
-    return [render_mesh(meshes.get(name) or empty, K, pose, size, cut) for name in names]
+    return [render_mesh(meshes.get(name, empty), K, pose, size, cut) for name in names]
 
 
 def differing(panels: Sequence[np.ndarray], size: Size) -> tuple[int, int]:

@@ -126,6 +126,8 @@ def chosen_points(shown: Shown, hits: Hits, count: int = POINTS) -> np.ndarray:
     """Some points [P, 3] (metres) of what is seen, far apart, among those that keep most views."""
     online = shown.result.online
     assert online is not None
+    if not len(hits.points):
+        raise TFLabError(f"{shown.capture.name}: nothing of the mesh is seen from above")
     some = np.random.default_rng(0).permutation(len(hits.points))[:CANDIDATES]
     points = hits.points[np.sort(some)]
     kept = _showing(online, points)
