@@ -24,7 +24,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("config",),
     ("experiments",),
     ("reporting",),
-    ("training", "benchmarks", "viewer"),
+    ("training", "viewer"),
+    ("benchmarks",),
     ("cli", "commands"),
 )
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
@@ -92,8 +93,8 @@ def test_no_circle() -> None:
 
 
 def test_the_top_is_commands() -> None:
-    """At most twelve modules there."""
-    assert len(list(PACKAGE.glob("*.py"))) <= 12
+    """At most thirteen modules there."""
+    assert len(list(PACKAGE.glob("*.py"))) <= 13
 
 
 SHORT = (

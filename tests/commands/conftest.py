@@ -19,6 +19,7 @@ from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
 from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.evaluation import pictures, protocol
+from tf_lab.meshes import raycast
 from tf_lab.support.files import atomic_directory
 
 
@@ -50,6 +51,8 @@ def surroundings(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("tf_lab.evaluation.scenes.compare", small)
     monkeypatch.setattr("tf_lab.commands.reconstruct.compare", small)
     monkeypatch.setattr("tf_lab.commands.prepare.compare", small)
+    monkeypatch.setattr(raycast, "AMBIENT_RAYS", 1)
+    monkeypatch.setattr(raycast, "FINE", 1)
     monkeypatch.setattr(protocol, "SAMPLES", 20_000)
 
 

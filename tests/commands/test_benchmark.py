@@ -47,7 +47,7 @@ SETTINGS = BenchmarkSettings(
 
 
 def test_the_benchmark(tmp_path: Path) -> None:
-    done = call("benchmark", *SMALL, f"output={tmp_path}/b")
+    done = call("benchmark", *SMALL, "parts=[tables]", f"output={tmp_path}/b")
     assert done.status == 0, done.err
     for title in ("Adding a frame", "Meshing", "scene size", "Floor", "eager fusion over lazy"):
         assert title in done.out
@@ -71,7 +71,9 @@ def test_the_benchmark(tmp_path: Path) -> None:
     assert floor["chunk"]["occupancy"]["flops"] > 0
 
 
-@pytest.mark.parametrize("wrong", ["views=[]", "frames=0", "online.precision=int8", "device=cuda"])
+@pytest.mark.parametrize(
+    "wrong", ["views=[]", "frames=0", "parts=[speed]", "online.precision=int8", "device=cuda"]
+)
 def test_what_cannot_be_measured(wrong: str) -> None:
     if wrong == "device=cuda" and torch.cuda.is_available():
         pytest.skip("there is one")

@@ -251,6 +251,8 @@ def test_wandb_offline(train: Train, tmp_path: Path) -> None:
     assert result.status == 0
     for directory in (result.path("training"), result.path("run")):  # losses, scores
         assert list((directory / "wandb").glob("offline-run-*/*.wandb"))
+    media = [*(result.path("run") / "wandb").glob("offline-run-*/files/media/*")]
+    assert {path.name for path in media} >= {"table", "images", "object3D"}
 
 
 def test_bf16_and_a_worker_process(train: Train, tmp_path: Path) -> None:

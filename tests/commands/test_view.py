@@ -12,13 +12,12 @@ import trimesh
 from helpers.made_up_runs import write_run
 from helpers.tiny_jobs import call
 from tf_lab.config.compose import compose_config
-from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.reporting.results import read_run
 
 pytest.importorskip("viser", reason="needs pip install 'tf_lab[viewer]'")
-from tf_lab.commands.view import of_run
+from tf_lab.commands.inputs import of_run
 
 
 def test_a_run_is_seen_as_it_was_evaluated(tmp_path: Path, box_scene: Path) -> None:
@@ -34,9 +33,9 @@ def test_a_run_is_seen_as_it_was_evaluated(tmp_path: Path, box_scene: Path) -> N
     scene = open_source(read_run(run).config.data).directory("room_2000000", None)
     scene.parent.mkdir(parents=True)
     scene.symlink_to(box_scene)
-    config, capture = of_run(asked, run)
+    config, scenes = of_run(asked, run)
     assert config.checkpoint == str(checkpoint) and config.views == 4
-    assert isinstance(capture, Scene) and capture.name == "box_room"
+    assert [scene.name for scene in scenes.values()] == ["box_room"]
     with pytest.raises(TFLabError, match=r"scene=nowhere: .* has room_2000000"):
         of_run(replace(asked, scene="nowhere"), run)
 

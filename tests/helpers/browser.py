@@ -53,13 +53,14 @@ class Page:
 
     def open(self, url: str) -> None:
         self.call("Page.navigate", url=url)
+        self.wait("document.body && document.readyState == 'complete'")
 
     def evaluate(self, expression: str) -> Any:
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
-    def wait(self, expression: str, seconds: float = 60) -> Any:
+    def wait(self, expression: str, seconds: float = 180) -> Any:
         """Until an expression is true; its value."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -87,10 +88,14 @@ class Page:
         self.click_first(selector, f"e => e.textContent.trim() == '{text}'")
 
     def click_first(self, selector: str, where: str = "e => true") -> None:
-        """Click the middle of the first element that a selector finds."""
+        """Click the middle of the first element that a selector finds, once that stands still."""
         middle = "(r => [r.x + r.width / 2, r.y + r.height / 2])(e.getBoundingClientRect())"
         find = f"[...document.querySelectorAll('{selector}')].find({where})"
-        self.click(*self.wait(f"(e => e ? {middle} : null)({find})"))
+        before, place = None, [0.0, 0.0]
+        while place != before:  # a menu that opens moves
+            before, place = place, self.wait(f"(e => e ? {middle} : null)({find})")
+            time.sleep(0.3)
+        self.click(*place)
 
 
 @contextmanager

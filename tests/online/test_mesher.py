@@ -167,6 +167,18 @@ def test_no_colour_passes_through_an_occluder() -> None:
     assert (colors[~on_front & (shadow > 0.72)] == [9, 99, 199]).all()
 
 
+def test_a_floor_seen_from_low_down_has_no_stripes() -> None:
+    """One image, 17 to 30 degrees above the floor: none of it hides what lies behind."""
+    floor = wall(0, 1.7)
+    _, along, across = floor.vertices.T
+    floor.vertices = np.c_[2.5 + 0.5 * along, 0.3 * across, np.full(len(along), -1)]
+    colors = paint(floor, [uniform(9, 99, 199)], [along_x()])
+    x, y, z = floor.vertices.T
+    seen = (59.5 - 100 * z / x < 118) & (np.abs(100 * y / x) < 79)
+    assert seen.sum() > 1000
+    assert (colors[seen] == [9, 99, 199]).all()
+
+
 @pytest.mark.parametrize("at", [2.5, -500.0])
 def test_what_no_image_sees_is_grey(at: float) -> None:
     mesh = wall(2.0, 0.3)  # behind the camera; too far beside the image

@@ -126,6 +126,7 @@ def test_the_mesh_in_the_page(study: Study) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.browser
 def test_in_a_browser(study: Study, output: Path) -> None:
     """Nothing is requested but the file; the mesh is drawn, and turns."""
     write_pages(study, "Three runs.", [], output)

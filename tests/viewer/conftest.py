@@ -8,8 +8,8 @@ import trimesh
 
 from helpers.online.scenes import FAR, FRAMES, balanced, settings_of
 from tf_lab.data.scene import Scene
+from tf_lab.online.kept import Pick
 from tf_lab.online.surface import Chunk
-from tf_lab.viewer.picked import Pick
 from tf_lab.viewer.session import Session, State
 
 
@@ -55,9 +55,15 @@ def network(tiny_network: Callable[..., Any], scene: Scene) -> Any:
 
 @pytest.fixture(scope="session")
 def make_session(network: Any, scene: Scene) -> Callable[[], Session]:
-    """Of six frames; nothing is added yet, and it works when it is told to."""
-    settings = settings_of(resolution=0.1)
-    return lambda: Session(network, scene, list(FRAMES), settings, Recorder())
+    """Of six frames, of one colour (others take most of the time); it works when it is told to."""
+
+    def make() -> Session:
+        settings = settings_of(resolution=0.1)
+        session = Session(network, scene, list(FRAMES), settings, Recorder())
+        session.mode = "clay"
+        return session
+
+    return make
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -24,23 +25,38 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-@pytest.fixture
-def session(make_session: Callable[[], Session]) -> Iterator[Session]:
-    """One with a page, at work."""
-    from tf_lab.viewer.live import show_session
+@contextmanager
+def page_of(plain: Session, *names: str) -> Iterator[list[Session]]:
+    """Sessions like one, of these names, with a page."""
+    from tf_lab.viewer.live import show_sessions
     from tf_lab.viewer.serve import LocalServer
 
     server = LocalServer(free_port())
-    plain = make_session()
-    session = show_session(
-        server, plain.network, plain.capture, plain.frames, plain.settings, lambda: None
+    networks = dict.fromkeys(names, plain.network)
+    sessions = show_sessions(
+        server, networks, plain.capture, plain.frames, plain.settings, lambda: None
     )
-    session.server = server  # type: ignore[attr-defined]
-    thread = session.start()
-    yield session
-    session.stop()
-    thread.join(60)
+    for session in sessions:
+        session.server = server  # type: ignore[attr-defined]
+    yield sessions
     server.stop()
+
+
+@contextmanager
+def at_work(sessions: list[Session]) -> Iterator[None]:
+    """Their threads."""
+    threads = [session.start() for session in sessions]
+    yield
+    for session, thread in zip(sessions, threads, strict=True):
+        session.stop()
+        thread.join(60)
+
+
+@pytest.fixture
+def session(make_session: Callable[[], Session]) -> Iterator[Session]:
+    """One with a page, at work."""
+    with page_of(make_session(), "box") as sessions, at_work(sessions):
+        yield sessions[0]
 
 
 def pixel(session: Session, point: np.ndarray) -> tuple[float, float]:
@@ -62,18 +78,23 @@ def views(page: Page) -> list[tuple[int, float]]:
 
 def settled(page: Page) -> np.ndarray:
     """The scene when nothing is left to do, without the panel beside it."""
-    page.wait(READY, 120)
-    time.sleep(1.5)  # until it is drawn
-    return page.picture()[:, :700]
+    page.wait(READY)
+    before, now = None, page.picture()
+    while before is None or (before != now).any():  # until it is drawn
+        time.sleep(1.5)
+        before, now = now, page.picture()
+    return now[:, :700]
 
 
 def step(page: Page, count: int) -> None:
     """Add one frame, the count-th."""
     page.click_text("Step")
-    page.wait(f"document.body.textContent.includes('{count} of 6 frames')", 30)
+    page.wait(f"document.body.textContent.includes('{count} of 6 frames')")
 
 
 @pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.timeout(900)  # beside other work
 def test_the_page(session: Session) -> None:
     with browser() as page:
         page.open(session.server.address)  # type: ignore[attr-defined]
@@ -110,12 +131,18 @@ def test_the_page(session: Session) -> None:
         assert shown == sorted(shown, key=lambda view: -view[1])
 
         session.change(views=2)
-        page.wait("document.querySelectorAll('.kept-view').length == 2", 120)
+        page.wait("document.querySelectorAll('.kept-view').length == 2")
         page.wait(READY)
         attention = views(page)
+        before = settled(page)
+        page.click_first("input[value=image]")
+        page.click_text("best view", "[role=option]")
+        page.wait("document.body.textContent.includes('of greatest weight')")
+        page.wait(READY)
+        assert (np.abs(settled(page).astype(int) - before).max(-1) > 20).mean() > 0.002
         page.click_first("input[value=attention]")
         page.click_text("random", "[role=option]")
-        page.wait(f"JSON.stringify({VIEWS}) != {repr_of(page)} && {READY}", 120)
+        page.wait(f"JSON.stringify({VIEWS}) != {repr_of(page)} && {READY}")
         assert {frame for frame, _ in views(page)} != {frame for frame, _ in attention}
         own = session.server.address  # type: ignore[attr-defined]
         others = [url for url in page.requests if not url.startswith((own, "data:", "blob:"))]
@@ -130,6 +157,37 @@ def repr_of(page: Page) -> str:
 def held(session: Session, point: np.ndarray) -> int:
     frames, _ = session.growth.reconstructor.view_weights(point[None])
     return int((frames >= 0).sum())
+
+
+def test_two_networks_stand_side_by_side(make_session: Callable[[], Session]) -> None:
+    with page_of(make_session(), "a", "b") as sessions:
+        for session in sessions:
+            session.jump(1)
+            while session.work():
+                pass
+        find = sessions[0].server.scene.get_handle_by_name  # type: ignore[attr-defined]
+        places = []
+        for number, session in enumerate(sessions):
+            assert session.growth.pieces
+            for chunk in session.growth.pieces:
+                assert find(f"/scene{number}/mesh/{'_'.join(map(str, chunk))}") is not None
+            places.append(np.array(find(f"/scene{number}").position))
+        centers = sessions[0].capture.world_T_cam[:, :3, 3]
+        step = places[1] - places[0]
+        assert step[0] > np.ptp(centers[:, 0]) + 2 and (step[1:] == 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.timeout(900)  # beside other work
+def test_two_networks_are_asked_alike(make_session: Callable[[], Session]) -> None:
+    with page_of(make_session(), "a", "b") as sessions, at_work(sessions), browser() as page:
+        page.open(sessions[0].server.address)  # type: ignore[attr-defined]
+        page.wait("document.body.textContent.includes('b: 0 of 6 frames')")
+        time.sleep(2)
+        page.click_text("Step")
+        for name in ("a", "b"):
+            page.wait(f"document.body.textContent.includes('{name}: 1 of 6 frames')")
 
 
 def test_a_taken_port_is_said(scene: Scene) -> None:

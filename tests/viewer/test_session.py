@@ -10,11 +10,12 @@ from helpers.online.scenes import FRAMES, assert_same_surface, clearance, recons
 from helpers.resources import Use
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.geometry import FINE
+from tf_lab.meshes.raycast import CLAY
 from tf_lab.meshes.weld import weld
+from tf_lab.support.colors import error_colors, frame_colors
 from tf_lab.viewer import session as module
-from tf_lab.viewer.colors import error_colors, frame_colors
-from tf_lab.viewer.paint import Truth
 from tf_lab.viewer.session import Session
 
 
@@ -161,7 +162,8 @@ class Broken:
 
 
 def test_colours(full: Session, scene: Scene) -> None:
-    told = full.listener
+    full.paint("image")
+    told = finish(full)
     for chunk, piece in told.pieces.items():
         assert told.colors[chunk].shape == piece.vertices.shape
         assert told.colors[chunk].dtype == np.uint8
@@ -179,6 +181,23 @@ def test_colours(full: Session, scene: Scene) -> None:
     told = finish(full)
     far = np.abs(points[:, 2]) > 0.2
     assert (told.colors[chunk][far] == error_colors(np.array([1.0]))).all()
+
+
+def test_other_colours_come_before_more_frames(session: Session) -> None:
+    """However long the frames, and the chunks that they change, have been waiting."""
+    session.jump(3)
+    finish(session)
+    session.jump(len(FRAMES))
+    assert session.work() and session.growth.stale
+    session.paint("image")
+    position, told = session.position, session.listener
+    clay = np.round(255 * np.array(CLAY))
+    for _ in range(len(session.growth.pieces)):
+        assert session.work() and session.position == position
+    assert all((told.colors[chunk] != clay).any() for chunk in told.pieces)
+    finish(session)
+    assert session.position == len(FRAMES)
+    assert all((told.colors[chunk] != clay).any() for chunk in told.pieces)
 
 
 def test_without_ground_truth_there_is_no_error(session: Session) -> None:

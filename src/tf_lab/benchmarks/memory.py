@@ -1,4 +1,4 @@
-"""Peak memory: of the GPU, or of the process where there is none."""
+"""Peak memory: of the GPU, or of the process where there is none; and what the process has now."""
 
 from __future__ import annotations
 
@@ -16,13 +16,21 @@ def reset_peak(device: torch.device) -> None:
         Path("/proc/self/clear_refs").write_text("5")
 
 
+def resident_memory() -> int:
+    """Bytes of the process in memory now; without Linux' /proc the peak so far."""
+    return _status("VmRSS:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
 def peak_memory(device: torch.device) -> int:
     """Bytes, at most, since `reset_peak`."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
+    return _status("VmHWM:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _status(name: str) -> int | None:
+    """Bytes that Linux says of this process; None elsewhere."""
     status = Path("/proc/self/status")
-    if status.exists():
-        for line in status.read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    lines = status.read_text().splitlines() if status.exists() else []
+    found = [int(line.split()[1]) * 1024 for line in lines if line.startswith(name)]
+    return found[0] if found else None

@@ -1,14 +1,13 @@
-"""What was measured as text and as a chart, the paper's figures beside it."""
+"""What was measured as text, the paper's figures beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from tf_lab.benchmarks.measure import CHUNK_STAGES, STAGES
 from tf_lab.reporting import paper
-from tf_lab.support.figures import new_figure, write_figure
+from tf_lab.reporting.figures.runtimes import described
 from tf_lab.support.tables import NOTHING, aligned
 
 MIB = 2**20
@@ -17,8 +16,18 @@ Rows = Sequence[Sequence[str]]
 
 def tables(found: Mapping[str, Any]) -> str:
     """All measurements as text."""
-    parts = [
-        _what(found),
+    parts = []
+    if "frame" in found:
+        parts += _papers(found)
+    if "live" in found:
+        parts.append(_table("Live viewing", *_live(found["live"])))
+    return "\n\n".join(parts)
+
+
+def _papers(found: Mapping[str, Any]) -> list[str]:
+    """The paper's tables, and what explains them."""
+    return [
+        described(found),
         _table("Adding a frame (ms)", *_frame(found)),
         _table("Frames per second", *_fps(found)),
         _table("Meshing a 1.5 m chunk (ms)", *_chunk(found)),
@@ -30,17 +39,19 @@ def tables(found: Mapping[str, Any]) -> str:
         _table("Peak memory", *_memory(found)),
         "paper: Bozic et al. 2021, supplement, on an RTX 3090",
     ]
-    return "\n\n".join(parts)
 
 
-def _what(found: Mapping[str, Any]) -> str:
-    """What was measured, and on what."""
-    config, machine = found["config"], found["provenance"]["machine"]
-    threads = machine["threads"]
-    times = "1 thread, CPU time" if threads == 1 else f"{threads} threads"  # see `clock`
-    where = machine.get("gpu") or f"{machine['processor']}, {times}"
-    size = f"{config['width']}x{config['height']}"
-    return f"model={config['model']['name']}, {size}, {found['precision']}, {where}"
+def _live(live: Mapping[str, float]) -> tuple[list[str], Rows]:
+    memory = ("memory at the last frame", "memory when whole", "memory later")
+    rows = [
+        ["frames a second", f"{live['frames a second']:.2f}"],
+        ["s between refreshes of the mesh, mean", f"{live['mean gap']:.2f}"],
+        ["s between refreshes of the mesh, worst", f"{live['worst gap']:.2f}"],
+        ["s from the last frame to the whole mesh", f"{live['whole after']:.2f}"],
+        *([f"MiB, {name}", f"{live[name] / MIB:,.0f}"] for name in memory),
+        ["MiB sent to a page", f"{live['bytes sent'] / MIB:,.1f}"],
+    ]
+    return [f"{live['frames']:.0f} frames, {live['width']:.0f}x{live['height']:.0f}", ""], rows
 
 
 def _modes(found: Mapping[str, Any]) -> list[str]:
@@ -141,49 +152,3 @@ def _number(x: float | None) -> str:
 
 def _table(title: str, head: Sequence[str], rows: Rows) -> str:
     return f"{title}\n{aligned(rows, head=head)}"
-
-
-def draw(found: Mapping[str, Any], path: Path) -> None:
-    """A chart: stages of a frame and of a chunk beside the paper's, and growth with the scene."""
-    figure = new_figure(13, 4.2, dpi=110)
-    figure.suptitle(_what(found))
-    frame, chunk, size = figure.subplots(1, 3)
-    k = found["views"]
-    bars = {m: found["frame"][f"{m} {k}"] for m in _modes(found)}
-    _stack(frame, {**bars, "paper": paper.FRAME_MS}, STAGES, f"adding a frame, K = {k}")
-    both = {"here": found["chunk"], "paper": paper.CHUNK_MS}
-    _stack(chunk, both, CHUNK_STAGES, "meshing a 1.5 m chunk")
-    _growth(size, found["size"])
-    write_figure(figure, path)
-
-
-def _stack(axes: Any, bars: Mapping[str, Any], stages: Sequence[str], title: str) -> None:
-    """The stages' shares, the totals above: machines differ too much for one scale."""
-    bottom = [0.0] * len(bars)
-    for stage in stages:
-        values = [100 * bar.get(stage, 0.0) / bar["total"] for bar in bars.values()]
-        axes.bar(list(bars), values, bottom=bottom, label=stage)
-        bottom = [b + v for b, v in zip(bottom, values, strict=True)]
-    for i, bar in enumerate(bars.values()):
-        axes.text(i, 101, f"{bar['total']:,.0f} ms", ha="center")
-    axes.set(ylabel="%", ylim=(0, 108), title=title)
-    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=2)
-
-
-def _growth(axes: Any, sizes: Sequence[Mapping[str, Any]]) -> None:
-    """How cost and memory grow with the scene, relative to the smallest."""
-    rooms = [x["rooms"] for x in sizes]
-    for label, marker, values in (
-        ("time a voxel in view", "o-", [x["us a voxel in view"] for x in sizes]),
-        ("memory of view sets", "s-", [x["memory"]["view sets"] for x in sizes]),
-        ("voxels seen", "^--", [x["voxels seen"] for x in sizes]),
-    ):
-        axes.plot(rooms, [value / values[0] for value in values], marker, label=label)
-    axes.set(
-        xlabel="rooms",
-        xticks=rooms,
-        ylabel=f"times that of rooms={rooms[0]}",
-        title="scene size",
-    )
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)

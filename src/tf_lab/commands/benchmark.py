@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from tf_lab.benchmarks.live import live
 from tf_lab.benchmarks.measure import BenchmarkSettings
-from tf_lab.benchmarks.report import draw, tables
+from tf_lab.benchmarks.report import tables
 from tf_lab.benchmarks.suite import run_all
 from tf_lab.config.build import build_network, initialise_encoder, ready, reconstruction_settings
 from tf_lab.config.schema import BenchmarkConfig
 from tf_lab.config.stored import portable_config
+from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import provenance, without_places
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
+from tf_lab.reporting.figures.runtimes import runtimes
 from tf_lab.support.devices import device_of
+from tf_lab.support.figures import write_figure
 from tf_lab.support.files import atomic_path, check_folder, write_json
 
 
@@ -26,24 +34,47 @@ def run(config: BenchmarkConfig) -> None:
     check_folder(output)
     device = device_of(config.device)
     torch.manual_seed(config.seed)
-    networks = {
-        used: _network(replace(config, filter=used), device).eval().requires_grad_(False)
-        for used in (True, False)
+    measured: dict[str, Callable[[], dict[str, Any]]] = {
+        "tables": lambda: _measure_tables(config, device),
+        "live": lambda: {"live": _measure_live(config, device)},
     }
+    if not config.parts or not measured.keys() >= set(config.parts):
+        raise TFLabError(f"parts={config.parts}: choose of {', '.join(measured)}")
     origin = provenance()  # of the code that runs, not of what HEAD becomes
     origin["machine"]["threads"] = torch.get_num_threads()
     if device.type == "cuda":
         origin["machine"]["gpu"] = torch.cuda.get_device_name(device)
-    found = run_all(networks, _settings(config, device), config.views, config.eager)
+    found: dict[str, Any] = {}
+    for part in config.parts:
+        found |= measured[part]()
     results = without_places({"config": portable_config(config), "provenance": origin, **found})
     text = tables(results)
     print(text)
     write_json(output / "benchmark.json", results)
     with atomic_path(output / "benchmark.txt") as temporary:
         temporary.write_text(text + "\n")
-    with atomic_path(output / "benchmark.png") as temporary:
-        draw(results, temporary)
-    print(f"{output}: benchmark.txt, benchmark.json, benchmark.png")
+    files = ["benchmark.txt", "benchmark.json"]
+    if "frame" in found:
+        files.append("benchmark.png")
+        write_figure(runtimes(results).figure, output / files[-1])
+    print(f"{output}: {', '.join(files)}")
+
+
+def _measure_tables(config: BenchmarkConfig, device: torch.device) -> dict[str, Any]:
+    networks = {
+        used: _network(replace(config, filter=used), device).eval().requires_grad_(False)
+        for used in (True, False)
+    }
+    return run_all(networks, _settings(config, device), config.views, config.eager)
+
+
+def _measure_live(config: BenchmarkConfig, device: torch.device) -> dict[str, float]:
+    rooms = open_source(config.data).scenes("test")["test"]
+    scene = Scene(next(iter(rooms.values())))
+    network, _ = load_network(shipped_checkpoint())
+    settings = reconstruction_settings(config.online, config.resolution, views=max(config.views))
+    frames = [*range(len(scene.frames))][: config.live_frames]
+    return live(ready(network, config.online, device), scene, frames, settings)
 
 
 def _network(config: BenchmarkConfig, device: torch.device) -> Network:

@@ -6,10 +6,11 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from tf_lab.config.schema import CaptureConfig
+from tf_lab.config.schema import CaptureConfig, FiguresConfig, ViewConfig
 from tf_lab.data.capture import Capture
 from tf_lab.data.diagnosis import quick_warning
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
@@ -20,7 +21,10 @@ from tf_lab.data.scene import Scene
 from tf_lab.data.settings import MOST_SIDE
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
+from tf_lab.reporting.results import Run, read_run
 from tf_lab.support.records import record
+
+C = TypeVar("C", ViewConfig, FiguresConfig)
 
 
 def open_input(config: CaptureConfig, info: dict[str, Any]) -> Capture:
@@ -35,6 +39,33 @@ def open_input(config: CaptureConfig, info: dict[str, Any]) -> Capture:
         print(f"warning: {config.input}: {warning}", file=sys.stderr)
     size = _trained_size(info)
     return Resized(capture, size) if size else capture
+
+
+def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
+    """A run's network and settings as a config, and its test scenes, or the one asked for.
+
+    Raises:
+        TFLabError: they are not on this machine.
+    """
+    run: Run = read_run(directory)
+    chosen = [*run.scenes] if config.scene is None else [config.scene]
+    if config.scene not in (None, *run.scenes):
+        raise TFLabError(f"scene={config.scene}: {directory} has {', '.join(run.scenes)}")
+    checkpoint = config.checkpoint or run.makers[0].get("checkpoint")
+    several = checkpoint if isinstance(checkpoint, list) else [checkpoint]
+    source, digests = open_source(run.config.data), run.makers[0].get("scenes", {})
+    places = {name: source.directory(name, digests.get(name)) for name in chosen}
+    there = {name: path for name, path in places.items() if path.exists()}
+    for each in several:
+        if each is None or not Path(each).exists():
+            raise TFLabError(f"{directory}: its checkpoint ({each}) is not on this machine")
+    if not there:
+        path = places[chosen[0]]
+        raise TFLabError(f"{directory}: its test scene ({path}) is not on this machine")
+    names = ("views", "resolution", "threshold", "keyframe_distance", "select", "online")
+    settings = {name: getattr(run.config, name) for name in names}
+    config = replace(config, checkpoint=checkpoint, **settings)
+    return config, {name: Scene(path) for name, path in there.items()}
 
 
 def _trained_size(info: dict[str, Any]) -> tuple[int, int] | None:

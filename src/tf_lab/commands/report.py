@@ -9,7 +9,7 @@ from tf_lab.reporting.formats import markdown
 from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import describe, write_report
 from tf_lab.reporting.results import keep_run
-from tf_lab.reporting.studies import open_study
+from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import short_table
 from tf_lab.support.files import check_folder
 
@@ -29,11 +29,23 @@ def run(config: ReportConfig) -> None:
         from tf_lab.reporting.gallery import draw_pictures  # imports trimesh
 
         pictures = draw_pictures(study, output / "pictures")
+    figures, left_out = _draw_figures(config, study, output / "figures")
     if config.pages:
         from tf_lab.reporting.pages import write_pages  # imports trimesh
 
         write_pages(study, describe(study), remarks, output)
     print(describe(study), *remarks, markdown(short_table(study)), summary(study), sep="\n\n")
     pages = "report.html, " * config.pages
-    files = f"{pages}tables.md, orderings.md, charts, and {pictures} pictures of test scenes"
-    print(f"\n{output}: {files}")
+    drawn = f"{pictures} pictures of test scenes, {len(figures)} files of figures"
+    print(f"\n{output}: {pages}tables.md, orderings.md, charts, {drawn}", *left_out, sep="\n")
+
+
+def _draw_figures(config: ReportConfig, study: Study, folder: Path) -> tuple[list[Path], list[str]]:
+    """Draw what the runs have something for: the files, and lines on what they have nothing for."""
+    if not config.figures:
+        return [], []
+    from tf_lab.commands.figures import material_of  # imports torch
+    from tf_lab.reporting.figures.catalog import check_names, draw_figures
+
+    check_names(config.figures)
+    return draw_figures(config.figures, material_of(study, config.benchmark), folder)

@@ -26,6 +26,7 @@ from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, first_says
+from tf_lab.training.evaluation_log import log_run
 from tf_lab.training.fit import FitSettings, fit, is_helper, rank_zero_lock
 from tf_lab.training.initial import (
     check_state,
@@ -33,7 +34,7 @@ from tf_lab.training.initial import (
     make_network,
     with_initial_digests,
 )
-from tf_lab.training.loggers import log_scores, make_loggers
+from tf_lab.training.loggers import make_loggers
 from tf_lab.training.module import Training
 from tf_lab.training.objects import make_callbacks
 
@@ -64,7 +65,7 @@ def run(config: TrainConfig) -> None:
             return
     metrics = read_metrics(run)
     assert metrics is not None  # written just now, or found
-    log_scores(config, run, metrics.mean)
+    log_run(config, run, metrics)
     label = row_label(config)
     print(format_table([*metrics.scenes.items(), (label, metrics.mean)]))
     print(f"training: {training_directory(config)}\nrun:      {run}")

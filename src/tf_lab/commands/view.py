@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import trimesh
 
-from tf_lab.commands.inputs import open_input, own_groundtruth
+from tf_lab.commands.inputs import of_run, open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ViewConfig
 from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
-from tf_lab.data.scene import Scene
-from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import read_glb
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
-from tf_lab.reporting.results import read_run
 from tf_lab.support.devices import device_of
-from tf_lab.viewer.live import show_session
-from tf_lab.viewer.paint import Truth
+from tf_lab.viewer.live import show_sessions
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.still import show_meshes
 
@@ -39,18 +35,22 @@ def run(config: ViewConfig) -> None:
         show_meshes(server, meshes, truth)
         server.wait()
         return
-    capture = None
+    capture: Capture | None = None
     if config.run is not None:
-        config, capture = of_run(config, Path(config.run))
-    checkpoint = Path(config.checkpoint) if config.checkpoint else shipped_checkpoint()
-    network, info = load_network(checkpoint)
-    network = ready(network, config.online, device_of(config.device))
-    capture = capture or open_input(config, info)
+        config, scenes = of_run(config, Path(config.run))
+        capture = next(iter(scenes.values()))
+    given = config.checkpoint if isinstance(config.checkpoint, list) else [config.checkpoint]
+    checkpoints = [Path(path) if path else shipped_checkpoint() for path in given]
+    loaded = [load_network(path) for path in checkpoints]
+    device = device_of(config.device)
+    networks = [ready(network, config.online, device) for network, _ in loaded]
+    capture = capture or open_input(config, loaded[0][1])
+    names = [capture.name] if len(given) == 1 else _names(checkpoints)
     settings = capture_settings(config)
     frames = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
-    session = show_session(
-        server, network, capture, frames, settings, _truth_of(capture, config.groundtruth)
-    )
+    truth = _truth_of(capture, config.groundtruth)
+    named = dict(zip(names, networks, strict=True))
+    sessions = show_sessions(server, named, capture, frames, settings, truth)
     if config.play:
         first = threading.Event()
 
@@ -58,35 +58,26 @@ def run(config: ViewConfig) -> None:
         def _(_: Any) -> None:
             if not first.is_set():
                 first.set()
-                session.play(True)
+                for session in sessions:
+                    session.play(True)
 
-    session.start()
+    for session in sessions:
+        session.start()
     server.wait()
+
+
+def _names(checkpoints: list[Path]) -> list[str]:
+    """Short names that differ: of files, or with the folders that they lie in."""
+    for parts in range(1, max(len(path.parts) for path in checkpoints) + 1):
+        names = [str(Path(*path.parts[-parts:])) for path in checkpoints]
+        if len(set(names)) == len(names):
+            return names
+    raise TFLabError(f"checkpoint={checkpoints[0]}: is given twice")
 
 
 def _read(path: Path) -> trimesh.Trimesh:
     """A mesh of either kind that `tf_lab.reconstruct` writes."""
     return read_glb(path) if path.suffix == ".glb" else read_mesh(path)
-
-
-def of_run(config: ViewConfig, directory: Path) -> tuple[ViewConfig, Capture]:
-    """A run's network and settings as a config, and one of its test scenes.
-
-    Raises:
-        TFLabError: they are not on this machine.
-    """
-    run = read_run(directory)
-    name = config.scene or next(iter(run.scenes))
-    if name not in run.scenes:
-        raise TFLabError(f"scene={name}: {directory} has {', '.join(run.scenes)}")
-    checkpoint = config.checkpoint or run.makers[0].get("checkpoint")
-    there = open_source(run.config.data).directory(name, run.makers[0].get("scenes", {}).get(name))
-    for what, path in (("checkpoint", checkpoint), ("test scene", there)):
-        if path is None or not Path(path).exists():
-            raise TFLabError(f"{directory}: its {what} ({path}) is not on this machine")
-    names = ("views", "resolution", "threshold", "keyframe_distance", "select", "online")
-    of_run = {name: getattr(run.config, name) for name in names}
-    return replace(config, checkpoint=checkpoint, **of_run), Scene(there)
 
 
 def _truth_of(capture: Capture, path: str | None) -> Any:

@@ -36,6 +36,11 @@ from tf_lab.online.views import POLICIES
 from tf_lab.support.registry import Part, Registry
 from tf_lab.support.settings import MOST_SEED, setting
 
+FIGURES = (
+    *("views", "selected", "comparison", "ablations", "errors", "room"),
+    *("fscore_k", "fscore_rows", "runtimes"),
+)
+"""The figures there are, by name; see `tf_lab.reporting.figures.catalog`."""
 PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
 
 
@@ -209,6 +214,13 @@ class ReconstructConfig(CaptureConfig):
 class ViewConfig(CaptureConfig):
     """python -m tf_lab.view"""
 
+    checkpoint: Any = setting(
+        None,
+        "model.safetensors of a training run, or a list of such side by side; null: the one that "
+        "comes with tf_lab",
+        kind="path",
+        several=True,
+    )
     run: str | None = setting(
         None, "a run's folder: its test scene, with its network and settings", kind="path"
     )
@@ -225,6 +237,39 @@ class ViewConfig(CaptureConfig):
     def __post_init__(self) -> None:
         if sum(x is not None for x in (self.input, self.run, self.mesh)) > 1:
             raise TFLabError("give one of input=, run= and mesh=")
+
+
+@dataclass(frozen=True)
+class FiguresConfig(CaptureConfig):
+    """python -m tf_lab.figures"""
+
+    figures: list[str] = setting(list(FIGURES), "which to draw")
+    run: str | None = setting(
+        None, "a run's folder: its test scenes, with its network and settings", kind="path"
+    )
+    scene: str | None = setting(None, "which test scene; null: the first")
+    scenes: int = setting(2, "rows of the comparison: as many test scenes", least=1)
+    points: list[list[float]] | None = setting(
+        None, "at which views are selected, [[x,y,z],...] in metres; null: some are chosen"
+    )
+    runs: Any = setting(
+        "outputs/runs",
+        "a study's folder of runs, or a list of such; comparison, ablations and errors are of its "
+        "meshes, where it has any",
+        kind="path",
+        several=True,
+    )
+    study: str | None = setting(None, "key of the study, where the runs are of several")
+    benchmark: str = setting(
+        "outputs/benchmark/benchmark.json", "what python -m tf_lab.benchmark wrote", kind="path"
+    )
+    output: str = setting(
+        "outputs/figures", "a folder: NAME.png, of charts .pdf; captions as .txt", kind="path"
+    )
+
+    def __post_init__(self) -> None:
+        if self.input is not None and self.run is not None:
+            raise TFLabError("give one of input= and run=")
 
 
 @dataclass(frozen=True)
@@ -266,6 +311,13 @@ class ReportConfig:
     pictures: bool = setting(
         True, "draw each test scene under every row, where the runs have meshes"
     )
+    figures: list[str] = setting(
+        [name for name in FIGURES if not name.startswith("fscore")],
+        "the paper's other figures, where the runs have what they show; [] for none",
+    )
+    benchmark: str = setting(
+        "outputs/benchmark/benchmark.json", "what python -m tf_lab.benchmark wrote", kind="path"
+    )
     pages: bool = setting(True, "the study and each run as one HTML file, to open offline or mail")
     keep: bool = setting(False, "copy the runs' small files to OUTPUT/runs, to be committed")
 
@@ -274,6 +326,7 @@ class ReportConfig:
 class BenchmarkConfig(NetworkSettings):
     """python -m tf_lab.benchmark"""
 
+    data: Any = MISSING
     optimizer: Any = None
     training: Any = None
     online: OnlineSettings = field(default_factory=lambda: OnlineSettings(precision="auto"))
@@ -284,6 +337,12 @@ class BenchmarkConfig(NetworkSettings):
     timed: int = setting(20, "frames over which lazy fusion is timed", least=1)
     eager_timed: int = setting(2, "the same for eager fusion, which takes much longer", least=1)
     eager: bool = setting(True, "false leaves the eager measurements out")
+    parts: list[str] = setting(
+        ["tables", "live"],
+        "what is measured: the paper's tables, with the network below; live viewing of a test room "
+        "by the shipped checkpoint",
+    )
+    live_frames: int = setting(260, "of the room, at most, in live viewing", least=2)
     views: list[int] = setting([4, 8, 16], "K, views kept a voxel", least=1)
     rooms: list[int] = setting([1, 2, 4, 8], "scene sizes", least=1)
     counts: list[int] = setting([10, 500], "frames already there", least=0)
@@ -301,6 +360,7 @@ COMMANDS: dict[str, type] = {
     "evaluate": EvaluateConfig,
     "report": ReportConfig,
     "view": ViewConfig,
+    "figures": FiguresConfig,
     "benchmark": BenchmarkConfig,
 }
 OPTIONS: dict[tuple[str, str], type] = {

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.metrics import distances
+from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.raycast import CLAY, cast, overview_camera, render_mesh, shade
+from tf_lab.support.colors import ERROR_COLORS, ERROR_SCALE, error_colors
 from tf_lab.support.figures import new_figure, write_figure
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-ERROR_SCALE = 0.15  # metres at the end of the error panel's colour bar
-ERROR_COLORS = "YlOrRd"
+    from matplotlib.figure import Figure, FigureBase
 
 
 def compare(
@@ -46,8 +44,6 @@ def compare(
         size: (width, height) of a panel, pixels.
         label: what the prediction is called.
     """
-    import matplotlib  # slow to import; only who draws waits for it
-
     reference = prediction if groundtruth is None else groundtruth
     if len(reference.faces) == 0:
         raise TFLabError(f"{path}: there is no surface to draw; the mesh is empty")
@@ -56,9 +52,7 @@ def compare(
     label = label if len(prediction.faces) else f"{label} (empty)"
     panels = [(label, shade(seen, np.array(CLAY)))]
     if groundtruth is not None:
-        surface, _ = trimesh.sample.sample_surface(groundtruth, 200_000, seed=0)
-        error = distances(seen.points, np.asarray(surface))
-        colors = matplotlib.colormaps[ERROR_COLORS](error / ERROR_SCALE)[:, :3]
+        colors = error_colors(Truth(groundtruth).distances(seen.points)) / 255
         panels.append(("Ground truth", render_mesh(groundtruth, K, world_T_cam, size, ceiling)))
         panels.append(("Distance to ground truth", shade(seen, colors)))
     heading = title if fscore is None else f"{title}    F-score {fscore:.3f}"
@@ -68,9 +62,6 @@ def compare(
 def _compare_figure(
     frames: Sequence[np.ndarray], panels: list[tuple[str, np.ndarray]], heading: str
 ) -> Figure:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     count = min(len(frames), 6)
     chosen = [frames[int(i)] for i in np.linspace(0, len(frames) - 1, count).round()]
     width = 4.2 * len(panels)
@@ -90,9 +81,15 @@ def _compare_figure(
         axes.set_title(label, fontsize=11)
         axes.set_axis_off()
     if len(panels) > 1:
-        scale = ScalarMappable(Normalize(0, 100 * ERROR_SCALE), ERROR_COLORS)
-        bar = bottom.colorbar(
-            scale, ax=row[-1], shrink=0.6, aspect=25, extend="max", ticks=[0, 5, 10, 15]
-        )
-        bar.set_label("cm")
+        error_bar(bottom, row[-1:])
     return figure
+
+
+def error_bar(figure: FigureBase, axes: Any) -> None:
+    """The colour bar of errors, in cm, beside panels."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(0, 100 * ERROR_SCALE), ERROR_COLORS)
+    bar = figure.colorbar(scale, ax=axes, shrink=0.6, aspect=25, extend="max", ticks=[0, 5, 10, 15])
+    bar.set_label("cm")

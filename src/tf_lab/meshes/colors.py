@@ -11,6 +11,9 @@ from torch import Tensor
 
 from tf_lab.geometry import invert_pose, project, sample_maps
 
+CELL = 4  # pixels, of the depth buffer
+STEEPEST = 0.5  # metres of depth that a surface may have in one of its cells
+
 
 def color_vertices(
     mesh: trimesh.Trimesh,
@@ -31,6 +34,7 @@ def color_vertices(
         occluders: [P, 3], metres: points of other surfaces that may hide the mesh, densely.
     """
     vertices = torch.from_numpy(np.asarray(mesh.vertices)).float()
+    normals = torch.from_numpy(np.array(mesh.vertex_normals)).float()
     others = np.empty((0, 3)) if occluders is None else occluders
     points = torch.cat([vertices, torch.from_numpy(others).float()])
     total, weight = torch.zeros(len(vertices), 3), torch.zeros(len(vertices), 1)
@@ -41,7 +45,9 @@ def color_vertices(
         seen = (depth > 0.1) & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
         index = seen.nonzero().squeeze(1)
         nearest = _depth_of_points(u[index], v[index], depth[index], size)
-        index = index[(depth[index] < nearest + tolerance) & (index < len(vertices))]
+        index, nearest = index[index < len(vertices)], nearest[index < len(vertices)]
+        reach = tolerance + _depth_in_cell(vertices[index], normals[index], k, pose)
+        index = index[depth[index] < nearest + reach]
         color = sample_maps(image[None].float(), uv[None, index], size)[0]
         w = 1 / depth[index, None].clamp(min=0.3) ** 2  # near views are sharper
         total[index] += w * color
@@ -54,10 +60,22 @@ def color_vertices(
 def _depth_of_points(u: Tensor, v: Tensor, depth: Tensor, size: tuple[int, int]) -> Tensor:
     """The nearest depth among the points around each point's pixel: [P].
 
-    Splats the points into a quarter-resolution depth buffer, dense enough for 2 cm meshes.
+    Splats the points into a depth buffer so coarse that it has no holes for 2 cm meshes.
     """
-    width = size[0] // 4 + 1
-    cell = (v // 4) * width + u // 4
-    buffer = torch.full((width * (size[1] // 4 + 1),), torch.inf)
+    width = size[0] // CELL + 1
+    cell = (v // CELL) * width + u // CELL
+    buffer = torch.full((width * (size[1] // CELL + 1),), torch.inf)
     buffer.scatter_reduce_(0, cell, depth, reduce="amin")
     return buffer[cell]
+
+
+def _depth_in_cell(points: Tensor, normals: Tensor, K: Tensor, world_T_cam: Tensor) -> Tensor:
+    """How far apart in depth a surface is within a cell of the depth buffer: [P], metres.
+
+    A floor seen from low down is so steep that its far part would count as hidden by its near one.
+    """
+    rays = points - world_T_cam[:3, 3]
+    distance = rays.norm(dim=1)
+    cosine = (rays * normals).sum(1).abs() / distance.clamp(min=1e-6)
+    slope = (1 - cosine**2).clamp(min=0).sqrt() / cosine.clamp(min=0.05)
+    return (CELL * distance / K[0, 0] * slope).clamp(max=STEEPEST)

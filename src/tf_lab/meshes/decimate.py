@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.glb import vertex_colors
+
+
+def at_most(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
+    """A mesh with about so many faces at most; as it is where faces cannot be left out."""
+    with contextlib.suppress(TFLabError):
+        return decimated(mesh, faces / max(len(mesh.faces), 1))
+    return mesh
 
 
 def decimated(mesh: trimesh.Trimesh, share: float) -> trimesh.Trimesh:

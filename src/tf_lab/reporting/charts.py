@@ -11,16 +11,15 @@ import numpy as np
 from tf_lab.reporting.paper import ABLATIONS, ATTENTION, OURS, RANDOM, SCORES
 from tf_lab.reporting.statistics import deviation
 from tf_lab.reporting.studies import Study
+from tf_lab.support.colors import BLUE, ORANGE
 from tf_lab.support.figures import new_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# told apart by colour-blind eyes (Okabe and Ito, 2008), and by their markers in grey
-BLUE, ORANGE = "#0072B2", "#D55E00"
 MEAN = "mean ± standard deviation"
-# name, rows, colour, marker, octaves of K to the right
+# told apart by their markers in grey: name, rows, colour, marker, octaves of K to the right
 SELECTIONS: tuple[tuple[str, dict[int, str], str, str, float], ...] = (
     ("attention", ATTENTION, BLUE, "o", -0.05),
     ("random", RANDOM, ORANGE, "s", 0.05),
@@ -105,6 +104,14 @@ def rows_chart(study: Study) -> Figure:
 def _repetitions(study: Study) -> str:
     seeds, scenes = len(study.seeds()), len(study.scenes)
     return f"{seeds} seed{'s' * (seeds > 1)}, {scenes} test scene{'s' * (scenes > 1)}"
+
+
+def caption_of(what: str, study: Study) -> str:
+    """Of a chart of a study."""
+    return (
+        f"{what}, {_repetitions(study)} of study {study.key}: means, bars of the standard "
+        "deviation over seeds, small dots for the seeds, beside the paper's values on ScanNet."
+    )
 
 
 def save_chart(figure: Figure, path: Path) -> None:

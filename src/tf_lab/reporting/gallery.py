@@ -5,27 +5,21 @@ from __future__ import annotations
 import io
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
 import trimesh
 from PIL import Image
 
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.files import read_mesh
-from tf_lab.meshes.raycast import overview_camera, render_mesh
+from tf_lab.reporting.figures.contract import Compared
+from tf_lab.reporting.figures.meshes import ablations
 from tf_lab.reporting.paper import OURS
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.studies import Study
-from tf_lab.support.figures import new_figure, write_figure
+from tf_lab.support.figures import write_figure
 from tf_lab.support.files import file_name
 from tf_lab.support.progress import progress_bar
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-COLUMNS = 5
-PANEL = 3.1  # inches across
 COLORS = 32  # meshes are of one colour: shades enough, and a small file
 
 
@@ -52,8 +46,9 @@ def mesh_path(run: Run, scene: str) -> Path:
 
 def draw_pictures(study: Study, folder: Path, size: tuple[int, int] = (400, 300)) -> int:
     """Draw the test scenes of which there are meshes; of the others what is there stays."""
-    shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
-    if not shown:
+    try:
+        shown = scenes_of(study)
+    except TFLabError:
         return 0
     left_out = []
     with progress_bar() as bar:
@@ -99,21 +94,29 @@ def draw_scene(
     Raises:
         TFLabError: a mesh cannot be read, or there is nothing to draw.
     """
+    seed = next(iter(runs.values())).seed
+    drawn = ablations(compared(runs, scene, groundtruth), size, f"{scene}, seed {seed}")
+    write_figure(drawn.figure, path, COLORS)
+
+
+def compared(runs: dict[str, Run], scene: str, groundtruth: trimesh.Trimesh | None) -> Compared:
+    """A scene's meshes in runs by row; arguments and errors as of `draw_scene`."""
     meshes = {row: read_mesh(mesh_path(run, scene)) for row, run in runs.items()}
     scores = {row: run.scenes[scene] for row, run in runs.items()}
-    titles = {row: f"{row}   F {s['fscore']:.3f}" for row, s in scores.items() if "fscore" in s}
-    if groundtruth is not None:
-        meshes = {"Ground truth": groundtruth, **meshes}
-    shown = next((mesh for mesh in meshes.values() if len(mesh.faces)), None)
-    if shown is None:
-        raise TFLabError(f"{path}: there is no surface to draw; all meshes are empty")
-    K, world_T_cam, ceiling = overview_camera(shown.bounds, size)
-    panels = {
-        titles.get(name, name): render_mesh(mesh, K, world_T_cam, size, ceiling)
-        for name, mesh in meshes.items()
-    }
-    seed = next(iter(runs.values())).seed
-    write_figure(_grid(panels, f"{scene}, seed {seed}", size), path, COLORS)
+    fscores = {row: score["fscore"] for row, score in scores.items() if "fscore" in score}
+    return Compared(scene, meshes, groundtruth, fscores)
+
+
+def scenes_of(study: Study) -> dict[str, dict[str, Run]]:
+    """The runs to show (`scene_runs`) of every test scene that has meshes.
+
+    Raises:
+        TFLabError: none has.
+    """
+    shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
+    if not shown:
+        raise TFLabError(f"no run of study {study.key} has its meshes on this machine")
+    return shown
 
 
 def preview(path: Path, width: int = 1000) -> bytes:
@@ -124,18 +127,3 @@ def preview(path: Path, width: int = 1000) -> bytes:
     content = io.BytesIO()
     small.save(content, "JPEG", quality=80)
     return content.getvalue()
-
-
-def _grid(panels: dict[str, np.ndarray], heading: str, size: tuple[int, int]) -> Figure:
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
-    width, height = PANEL * columns, (PANEL * size[1] / size[0] + 0.3) * rows + 0.5
-    figure = new_figure(width, height)
-    figure.suptitle(heading, fontsize=13, fontweight="bold")
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat:
-        axes.set_axis_off()
-    for axes, (title, image) in zip(grid.flat, panels.items(), strict=False):
-        axes.imshow(image)
-        axes.set_title(title, fontsize=10)
-    return figure

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
-from tf_lab.errors import TFLabError
-from tf_lab.meshes.decimate import decimated
+from tf_lab.meshes.decimate import at_most
 from tf_lab.meshes.glb import vertex_colors
 from tf_lab.meshes.raycast import CLAY
 
@@ -21,12 +19,11 @@ SCRIPT = Path(__file__).with_suffix(".js")
 def mesh_view(mesh: trimesh.Trimesh) -> str:
     """A mesh (metres, faces towards free space) with its colours as HTML; "" without faces.
 
-    Where faces can be left out (see `decimated`), no more than `FACES` stay.
+    Where faces can be left out (see `tf_lab.meshes.decimate`), no more than `FACES` stay.
     """
     if not len(mesh.faces):
         return ""
-    with contextlib.suppress(TFLabError):  # else the page is larger
-        mesh = decimated(mesh, FACES / len(mesh.faces))
+    mesh = at_most(mesh, FACES)
     low, high = mesh.bounds
     size = np.maximum(high - low, 1e-6)
     places = np.round((mesh.vertices - low) / size * 65535).astype("<u2")

@@ -43,13 +43,17 @@ PICTURE = 900  # pixels across
 
 def write_pages(study: Study, about: str, remarks: Sequence[str], output: Path) -> None:
     """Write ``report.html`` and ``pages/<run>.html``; ``about`` says what was run."""
-    _write(output / "report.html", study_page(study, about, remarks, output / "pictures"))
+    drawn = (output / "pictures", output / "figures")
+    _write(output / "report.html", study_page(study, about, remarks, *drawn))
     for run in study.runs.values():
         _write(output / "pages" / f"{run.directory.name}.html", run_page(run))
 
 
-def study_page(study: Study, about: str, remarks: Sequence[str], pictures: Path) -> str:
+def study_page(
+    study: Study, about: str, remarks: Sequence[str], pictures: Path, figures: Path | None = None
+) -> str:
     """All of a study: tables, charts, the pictures that there are, a mesh, and its settings."""
+    captions = sorted(figures.glob("*.txt")) if figures is not None else []
     drawn = [path for scene in study.scenes if (path := pictures / f"{scene}.png").exists()]
     shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
     mesh = ""
@@ -70,6 +74,7 @@ def study_page(study: Study, about: str, remarks: Sequence[str], pictures: Path)
         ),
         section("A mesh", mesh),
         section("Test scenes", *(_preview(path) for path in drawn)),
+        section("Figures", *map(_figure, captions)),
         section("Orderings", code(summary(study)), table_html(orderings_table(study))),
         section("Inputs", table_html(inputs_table(study))),
         section("Tests against ours", table_html(comparison_table(study))),
@@ -101,6 +106,11 @@ def run_page(run: Run) -> str:
 
 def _preview(path: Path) -> str:
     return picture(preview(path, PICTURE), "jpeg", path.stem)
+
+
+def _figure(caption: Path) -> str:
+    content = preview(caption.with_suffix(".png"), PICTURE)
+    return picture(content, "jpeg", caption.read_text(encoding="utf-8").strip())
 
 
 def _commands(study: Study) -> str:

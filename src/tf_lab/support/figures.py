@@ -1,12 +1,15 @@
-"""Figures that are drawn off the screen and written whole or not at all.
+"""Figures in one style, drawn off the screen and written whole or not at all.
 
 Matplotlib takes a second to import: only who draws waits for it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from tf_lab.support.files import atomic_path
 
@@ -14,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 150
+HEADING, TITLE, SMALL = 13, 10, 8  # points
+PANEL = 3.1  # inches across
 
 
 def new_figure(width: float, height: float, dpi: float = DPI) -> Figure:
@@ -23,6 +28,31 @@ def new_figure(width: float, height: float, dpi: float = DPI) -> Figure:
 
     figure = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
+    return figure
+
+
+def panel_grid(
+    panels: Mapping[str, np.ndarray], heading: str, columns: int, width: float = PANEL
+) -> Figure:
+    """Pictures (uint8 [H, W, 3], of one size) under their titles, so many in a line.
+
+    Args:
+        panels: by title.
+        heading: of all.
+        columns: at most so many.
+        width: of a panel, inches.
+    """
+    columns = min(columns, len(panels))
+    rows = -(-len(panels) // columns)
+    height, across = next(iter(panels.values())).shape[:2]
+    figure = new_figure(width * columns, (width * height / across + 0.3) * rows + 0.5)
+    figure.suptitle(heading, fontsize=HEADING, fontweight="bold")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for axes, (title, image) in zip(grid.flat, panels.items(), strict=False):
+        axes.imshow(image)
+        axes.set_title(title, fontsize=TITLE)
     return figure
 
 

@@ -1,10 +1,9 @@
-"""Where losses and scores are logged, beside the files of a training and a run."""
+"""Where losses are logged, beside the files of a training."""
 
 from __future__ import annotations
 
 import contextlib
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from lightning.pytorch.loggers import CSVLogger, Logger
 from tf_lab.config.groups import LoggerSettings
 from tf_lab.config.schema import TrainConfig
 from tf_lab.errors import TFLabError
-from tf_lab.experiments.identity import training_directory
 from tf_lab.training.objects import make
 
 WANDB = "WandbLogger"
@@ -31,7 +29,7 @@ def make_loggers(config: TrainConfig, directory: Path) -> Sequence[Logger]:
     if settings._target_ is None:
         return loggers
     arguments: dict[str, Any] = {"save_dir": directory}
-    if _is_wandb(settings):
+    if is_wandb(settings):
         arguments |= {"name": directory.name, "id": directory.name, "config": asdict(config)}
         arguments |= {"project": settings.project, "offline": settings.offline}
     node = {"_target_": settings._target_, **settings.others}
@@ -40,18 +38,20 @@ def make_loggers(config: TrainConfig, directory: Path) -> Sequence[Logger]:
     except ModuleNotFoundError as error:
         name = settings._target_.rpartition(".")[2].removesuffix("Logger").lower()
         raise TFLabError(f"logger={name} needs a package more: pip install {name}") from error
-    if _is_wandb(settings):
-        with _account():
+    if is_wandb(settings):
+        with account():
             _ = getattr(logger, "experiment")  # noqa: B009  # logs in
     return [*loggers, logger]
 
 
-def _is_wandb(settings: LoggerSettings) -> bool:
+def is_wandb(settings: LoggerSettings) -> bool:
+    """Whether it is Weights & Biases."""
     return str(settings._target_).endswith(f".{WANDB}")
 
 
 @contextlib.contextmanager
-def _account() -> Iterator[None]:
+def account() -> Iterator[None]:
+    """Tell in one line that there is none, or what else W&B says."""
     import wandb  # slow to import; only who logs there waits for it
 
     try:
@@ -60,31 +60,3 @@ def _account() -> Iterator[None]:
         raise TFLabError(
             f"logger=wandb: {error} Or take logger=wandb_offline, which needs no account."
         ) from error
-
-
-def log_scores(config: TrainConfig, run: Path, mean: Mapping[str, float]) -> None:
-    """Log the scores of an evaluation with W&B, if that is asked for.
-
-    An evaluation is a W&B run of its own, because a training may have many; but under
-    ``wandb agent`` all belongs to the one run that the agent has begun.
-    """
-    if not _is_wandb(config.logger):
-        return
-    import wandb
-
-    if "WANDB_SWEEP_ID" not in os.environ:
-        wandb.finish()  # the training's
-    with _account():
-        session = wandb.run or wandb.init(
-            name=run.name,
-            id=run.name,
-            group=training_directory(config).name,
-            job_type="evaluation",
-            dir=run,
-            project=config.logger.project,
-            mode="offline" if config.logger.offline else None,
-            config=asdict(config),
-            resume="allow",
-        )
-    session.log({f"test/{key}": value for key, value in mean.items()})
-    session.finish()

@@ -9,9 +9,8 @@ from html import escape
 import numpy as np
 from PIL import Image
 
-from tf_lab.evaluation.pictures import ERROR_SCALE
-from tf_lab.viewer.colors import css, gradient, weight_colors
-from tf_lab.viewer.picked import Pick
+from tf_lab.online.kept import Pick
+from tf_lab.support.colors import ERROR_SCALE, css, gradient, weight_colors
 
 BAR = "height:10px;border-radius:2px;background:"
 TEXT = "font:12px sans-serif;display:flex;justify-content:space-between"

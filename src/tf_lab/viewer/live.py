@@ -1,16 +1,16 @@
-"""A page with a session."""
+"""A page with sessions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from tf_lab.data.capture import Capture
+from tf_lab.evaluation.truth import Truth
 from tf_lab.network.network import Network
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.viewer.paint import Truth
-from tf_lab.viewer.panel import Panel
+from tf_lab.viewer.panel import Panel, Part
 from tf_lab.viewer.scene import Drawing, look_from_above
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.session import Session
@@ -18,18 +18,35 @@ from tf_lab.viewer.session import Session
 ROOM = 1.5  # metres around the cameras that a page shows at first
 
 
-def show_session(
+def show_sessions(
     server: LocalServer,
-    network: Network,
+    networks: Mapping[str, Network],
     capture: Capture,
     frames: list[int],
     settings: ReconstructionSettings,
     truth: Callable[[], Truth | None],
-) -> Session:
-    """Make the page of a session; the session has not started. Arguments as of `Session`."""
-    panel = Panel(server, Drawing(server))
-    session = Session(network, capture, frames, settings, panel, truth)
-    panel.attach(session)
+) -> list[Session]:
+    """Make the page of a session a network, side by side under one camera; none has started.
+
+    Args:
+        server: of the page.
+        networks: by the name that is shown.
+        capture: and the rest as of `Session`.
+        frames: of it.
+        settings: to begin with.
+        truth: gives the ground truth.
+    """
     centers = np.asarray(capture.world_T_cam)[:, :3, 3]
-    look_from_above(server, np.stack([centers.min(0) - ROOM, centers.max(0) + ROOM]))
-    return session
+    low, high = centers.min(0) - ROOM, centers.max(0) + ROOM
+    step = np.array([high[0] - low[0], 0, 0])
+    parts = []
+    for number, (name, network) in enumerate(networks.items()):
+        part = Part(Drawing(server, f"/scene{number}", number * step), name)
+        part.session = Session(network, capture, frames, settings, part, truth)
+        parts.append(part)
+        if len(networks) > 1:
+            place = np.array([*centers.mean(0)[:2], high[2]])
+            server.scene.add_label(f"/scene{number}/name", name, position=place)
+    panel = Panel(server, parts)
+    look_from_above(server, np.stack([low, high + (len(parts) - 1) * step]))
+    return panel.sessions

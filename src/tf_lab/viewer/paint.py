@@ -7,32 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import torch
 import trimesh
-from scipy.spatial import cKDTree
 
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import FINE
+from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.colors import color_vertices
 from tf_lab.meshes.glb import vertex_colors
 from tf_lab.meshes.raycast import CLAY
-from tf_lab.viewer.colors import error_colors, frame_colors
+from tf_lab.online.kept import best_frames
+from tf_lab.support.colors import error_colors, frame_colors
 from tf_lab.viewer.growth import Growth
 
 FRAMES = 24  # that paint a chunk, evenly chosen of those that see it
 SPARSE = 3  # every so many of the other chunks' vertices hide what is behind them
-SAMPLES = 200_000  # points on the ground truth
-
-
-class Truth:
-    """The ground truth: a mesh in metres, and distances to it."""
-
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self.mesh = mesh
-        points, _ = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
-        self._tree = cKDTree(np.asarray(points))
-
-    def distances(self, points: np.ndarray) -> np.ndarray:
-        """From points [P, 3] to the surface: [P], metres."""
-        return np.asarray(self._tree.query(points)[0])
 
 
 def by_images(growth: Growth, piece: trimesh.Trimesh) -> np.ndarray:
@@ -56,13 +42,9 @@ def by_images(growth: Growth, piece: trimesh.Trimesh) -> np.ndarray:
 
 def by_best_view(growth: Growth, piece: trimesh.Trimesh, total: int) -> np.ndarray:
     """The frame of greatest weight at each vertex, as its colour along the trajectory."""
-    voxels, which = np.unique(
-        np.floor(np.asarray(piece.vertices) / FINE), axis=0, return_inverse=True
-    )
-    frames, weights = growth.reconstructor.view_weights((voxels + 0.5) * FINE)
-    best = np.take_along_axis(frames, weights.argmax(1)[:, None], 1)[:, 0]
+    best = best_frames(growth.reconstructor, np.asarray(piece.vertices))
     sources = np.array([*growth.sources, -1])  # the last: none
-    return frame_colors(sources[best][which.reshape(-1)], total)
+    return frame_colors(sources[best], total)
 
 
 def by_error(truth: Truth, piece: trimesh.Trimesh) -> np.ndarray:

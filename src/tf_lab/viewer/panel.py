@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +11,11 @@ import trimesh
 
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, FINE
+from tf_lab.online.kept import Pick
 from tf_lab.online.surface import Chunk
 from tf_lab.online.views import POLICIES
 from tf_lab.viewer.html import kept_views, legend_of
 from tf_lab.viewer.paint import MODES
-from tf_lab.viewer.picked import Pick
 from tf_lab.viewer.scene import Drawing
 from tf_lab.viewer.session import Session, State
 
@@ -28,90 +28,100 @@ SPEEDS = (1, 30)  # frames a second
 
 
 class Panel:
-    """The page of one session: controls that ask it, and a listener that draws.
+    """The controls of a page, which ask all its sessions alike: of one capture, side by side.
 
     Args:
         server: of viser.
-        drawing: what is drawn; the session's frames in it.
+        parts: a session and what draws it, each; at least one.
     """
 
-    session: Session
-
-    def __init__(self, server: viser.ViserServer, drawing: Drawing) -> None:
-        self.server, self.drawing = server, drawing
-
-    def attach(self, session: Session) -> None:
-        """Make the controls of a session."""
-        self.session = session
-        gui = self.server.gui
-        self.status = gui.add_markdown("")
+    def __init__(self, server: viser.ViserServer, parts: Sequence[Part]) -> None:
+        self.server, self.parts = server, parts
+        self.sessions = [part.session for part in parts]
+        gui = server.gui
+        for part in parts:
+            part.status = gui.add_markdown("")
         with gui.add_folder("Frames"):
             self._frames()
         with gui.add_folder("Views kept"):
             self._selection()
         with gui.add_folder("Show"):
             self._display()
-        self.kept = gui.add_html(kept_views(None))
+        for part in parts:
+            part.kept = gui.add_html(kept_views(None))
+        server.scene.on_click()(self._pick)
 
-        @self.server.scene.on_click()
-        def _(event: Any) -> None:
-            origin = np.array(event.ray_origin) - self.drawing.shift
-            session.pick(origin, np.array(event.ray_direction))
+    def _pick(self, event: Any) -> None:
+        """The point that the ray meets, of whichever mesh."""
+        for part in self.parts:
+            origin = np.array(event.ray_origin) - part.drawing.shift
+            part.session.pick(origin, np.array(event.ray_direction))
+
+    def _ask(self, what: str, *given: Any, **settings: Any) -> None:
+        """The same of all sessions."""
+        for session in self.sessions:
+            getattr(session, what)(*given, **settings)
 
     def _frames(self) -> None:
-        gui, session = self.server.gui, self.session
+        gui, session = self.server.gui, self.sessions[0]
         total = len(session.frames)
-        self.playing = gui.add_button("Play")
+        playing = gui.add_button("Play")
         step = gui.add_button("Step", hint="add one frame")
-        self.position: Any = gui.add_slider("Frame", 0, total, 1, 0, hint="jump; back starts again")
+        position: Any = gui.add_slider("Frame", 0, total, 1, 0, hint="jump; back starts again")
         speed = gui.add_slider("Frames a second", *SPEEDS, 1, round(session.speed))
-        self.playing.on_click(lambda _: session.play(not session.playing))
-        step.on_click(lambda _: session.step())
-        self._on_change(self.position, session.jump)
-        self._on_change(speed, lambda value: setattr(session, "speed", float(value)))
+        playing.on_click(lambda _: self._ask("play", not session.playing))
+        step.on_click(lambda _: self._ask("step"))
+        self._on_change(position, lambda value: self._ask("jump", value))
+        self._on_change(speed, lambda value: self._ask("go_at", float(value)))
+        self.parts[0].playing, self.parts[0].position = playing, position
 
     def _selection(self) -> None:
-        gui, settings = self.server.gui, self.session.settings
+        gui, settings = self.server.gui, self.sessions[0].settings
         views = gui.add_slider("K", 1, max(16, settings.views), 1, settings.views)
         names = [part.name for part in POLICIES]
         policy = gui.add_dropdown("Selection", names, initial_value=settings.select.policy)
         sizes = {f"{100 * FINE / n:.3g} cm": FINE / n for n in CELLS}
         nearest = min(sizes, key=lambda size: abs(sizes[size] - settings.resolution))
         resolution = gui.add_dropdown("Resolution", [*sizes], initial_value=nearest)
-        change = self.session.change
-        self._on_change(views, lambda value: change(views=value))
-        self._on_change(policy, lambda value: change(select=value))
-        self._on_change(resolution, lambda value: change(resolution=sizes[value]))
+        ask = partial(self._ask, "change")
+        self._on_change(views, lambda value: ask(views=value))
+        self._on_change(policy, lambda value: ask(select=value))
+        self._on_change(resolution, lambda value: ask(resolution=sizes[value]))
 
     def _display(self) -> None:
-        gui, session, drawing = self.server.gui, self.session, self.drawing
+        gui, session = self.server.gui, self.sessions[0]
         color = gui.add_dropdown("Colour", MODES, initial_value=session.mode)
-        self.legend = gui.add_html("")
+        legend = gui.add_html("")
         near = gui.add_dropdown("Near surface", [*NEAR], initial_value="no")
-        self.voxel = FINE
 
         def paint(mode: str) -> None:
-            session.paint(mode)
-            self.legend.content = legend_of(mode, len(session.capture.frames))
+            self._ask("paint", mode)
+            legend.content = legend_of(mode, len(session.capture.frames))
 
         def show_near(which: str) -> None:
-            self.voxel = COARSE if NEAR[which] == "coarse" else FINE
-            session.show_near(NEAR[which])
+            for part in self.parts:
+                part.voxel = COARSE if NEAR[which] == "coarse" else FINE
+            self._ask("show_near", NEAR[which])
 
         self._on_change(color, paint)
         self._on_change(near, show_near)
         for what, label in (("mesh", "Mesh"), ("cameras", "Cameras"), ("path", "Trajectory")):
-            self._on_change(gui.add_checkbox(label, True), partial(drawing.set_visible, what))
+            self._on_change(gui.add_checkbox(label, True), partial(self._set_visible, what))
         self._on_change(gui.add_checkbox("Ground truth", False), self._show_truth)
 
+    def _set_visible(self, what: str, visible: bool) -> None:
+        for part in self.parts:
+            part.drawing.set_visible(what, visible)
+
     def _show_truth(self, visible: bool) -> None:
-        truth = self.session.truth()
+        truth = self.sessions[0].truth()
         if truth is None:
-            self._say("There is no ground truth.")
+            say(self.server, "There is no ground truth.")
             return
-        if self.server.scene.get_handle_by_name(f"{self.drawing.name}/truth") is None:
-            self.drawing.draw_truth(truth.mesh)
-        self.drawing.set_visible("truth", visible)
+        for part in self.parts:
+            if self.server.scene.get_handle_by_name(f"{part.drawing.name}/truth") is None:
+                part.drawing.draw_truth(truth.mesh)
+        self._set_visible("truth", visible)
 
     def _on_change(self, control: Any, act: Callable[[Any], Any]) -> None:
         """Act when somebody changes a control; not when the session itself does."""
@@ -122,13 +132,37 @@ class Panel:
                 try:
                     act(control.value)
                 except TFLabError as error:
-                    self._say(str(error))
+                    say(self.server, str(error))
 
-    def _say(self, text: str) -> None:
-        for client in self.server.get_clients().values():
-            client.add_notification("tf_lab", text, auto_close_seconds=10)
 
-    # the session's listener
+def say(server: viser.ViserServer, text: str) -> None:
+    """Tell whoever looks."""
+    for client in server.get_clients().values():
+        client.add_notification("tf_lab", text, auto_close_seconds=10)
+
+
+class Part:
+    """A session's part of the page: what is drawn and written as it tells.
+
+    Args:
+        drawing: the session's, in the scene.
+        name: that it is called by.
+
+    Attributes:
+        session: which tells; given when there is one.
+        status, kept: where it is written.
+        playing, position: controls that follow the session, if they do this one.
+        voxel: edge of the near-surface voxels that are shown, metres.
+    """
+
+    session: Session
+    status: Any
+    kept: Any
+
+    def __init__(self, drawing: Drawing, name: str) -> None:
+        self.drawing, self.name, self.voxel = drawing, name, FINE
+        self.playing: Any = None
+        self.position: Any = None
 
     def cleared(self) -> None:
         """All starts from nothing."""
@@ -152,12 +186,13 @@ class Panel:
 
     def stated(self, state: State) -> None:
         """Anything else changed."""
-        self.playing.label = "Pause" if state.playing else "Play"
-        self.position.value = state.position
+        if self.position is not None:
+            self.playing.label = "Pause" if state.playing else "Play"
+            self.position.value = state.position
         self.drawing.draw_near(state.near, self.voxel)
         self.status.content = (
-            f"**{self.session.capture.name}**: {state.position} of {state.total} frames, "
+            f"**{self.name}**: {state.position} of {state.total} frames, "
             f"{state.vertices} vertices; {state.busy or 'up to date'}"
         )
         if state.trouble:
-            self._say(state.trouble)
+            say(self.drawing.server, state.trouble)

@@ -13,9 +13,9 @@ from tf_lab.data.capture import Capture
 from tf_lab.geometry import COARSE
 from tf_lab.meshes.glb import glb_of
 from tf_lab.meshes.raycast import CLAY, overview_camera
+from tf_lab.online.kept import Pick
 from tf_lab.online.surface import Chunk
-from tf_lab.viewer.colors import frame_colors, weight_colors
-from tf_lab.viewer.picked import Pick
+from tf_lab.support.colors import frame_colors, weight_colors
 
 if TYPE_CHECKING:
     import viser

@@ -18,12 +18,13 @@ import trimesh
 
 from tf_lab.data.capture import Capture
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.network.network import Network
+from tf_lab.online.kept import Pick, pick
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.surface import Chunk
 from tf_lab.viewer.growth import Growth, Pieces
-from tf_lab.viewer.paint import MODES, Truth, painter
-from tf_lab.viewer.picked import Pick, pick
+from tf_lab.viewer.paint import MODES, painter
 
 log = logging.getLogger(__name__)
 
@@ -101,7 +102,7 @@ class Session:
         self.mode, self.near = MODES[0], ""
         self.point: np.ndarray | None = None
         self._ray: tuple[np.ndarray, np.ndarray] | None = None
-        self._pick_again = self._restart = self._state_due = False
+        self._pick_again = self._restart = self._repaint = self._state_due = False
         self._unpainted: set[Chunk] = set()
         self._stopped, self._trouble = False, ""
         self._due = self._meshed = 0.0
@@ -112,6 +113,10 @@ class Session:
     def play(self, playing: bool) -> None:
         """Go on by itself, or stop to."""
         self._note(playing=playing, _due=time.monotonic())
+
+    def go_at(self, speed: float) -> None:
+        """Add so many frames a second while it plays."""
+        self._note(speed=speed)
 
     def jump(self, position: int) -> None:
         """Have so many frames added: fewer than now starts again."""
@@ -134,7 +139,7 @@ class Session:
 
     def paint(self, mode: str) -> None:
         """Colour the mesh by one of `MODES`."""
-        self._note(mode=mode, _unpainted=set(self.growth.pieces))
+        self._note(mode=mode, _repaint=True)
 
     def show_near(self, level: str) -> None:
         """Tell the near-surface voxels of a level, "coarse" or "fine"; "": none."""
@@ -189,17 +194,19 @@ class Session:
 
     def _next(self) -> tuple[Callable[[], None] | None, str]:
         growth = self.growth
+        if self._repaint:  # the mesh as it is now: only this thread changes it
+            self._repaint, self._unpainted = False, set(growth.pieces)
         old = time.monotonic() - self._meshed > REFRESH
         if self._restart:
             return self._begin, "starting again"
         if self._ray is not None:
             return self._find, "looking"
+        if self._unpainted:  # somebody asked for it; where frames always wait, its turn never came
+            return self._paint_one, "colouring"
         if self._frame_is_due() and not (growth.stale and old):
             return self._add, "adding frames"
         if growth.stale:
             return lambda: self._tell(growth.mesh_next()), "meshing"
-        if self._unpainted:
-            return self._paint_one, "colouring"
         if not growth.settled:
             return self._settle, "meshing"
         if self._pick_again and self.point is not None:
@@ -256,7 +263,7 @@ class Session:
             try:
                 colors = painter(self.mode, self.growth, total, self.truth)(piece)
             except TFLabError:
-                self.mode, self._unpainted = MODES[0], set(self.growth.pieces)
+                self.mode, self._repaint = MODES[0], True
                 raise
         self.listener.meshed(chunk, piece, colors)
 
@@ -270,7 +277,7 @@ class Session:
     def _look(self) -> None:
         assert self.point is not None
         self._pick_again = False
-        self.listener.picked(pick(self.growth, self.point))
+        self.listener.picked(pick(self.growth.reconstructor, self.growth.sources, self.point))
 
     def _state(self, busy: str) -> State:
         trouble, self._trouble = self._trouble, ""

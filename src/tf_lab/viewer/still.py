@@ -10,10 +10,11 @@ import numpy as np
 import trimesh
 
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.glb import vertex_colors
-from tf_lab.viewer.colors import error_colors
+from tf_lab.support.colors import error_colors
 from tf_lab.viewer.html import legend_of
-from tf_lab.viewer.paint import Truth, clay
+from tf_lab.viewer.paint import clay
 from tf_lab.viewer.scene import Drawing, look_from_above
 from tf_lab.viewer.serve import LocalServer
 

@@ -1,12 +1,20 @@
-"""What colours say in the viewer, the same in the scene, in thumbnails and in legends."""
+"""What colours say, the same in figures, charts, the viewer's scene and its legends.
+
+Those of charts are told apart by colour-blind eyes (Okabe and Ito, 2008), scales by their lightness
+or, blue to red, by any eyes.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from tf_lab.evaluation.pictures import ERROR_COLORS, ERROR_SCALE
+BLUE, ORANGE, GREEN, YELLOW = "#0072B2", "#D55E00", "#009E73", "#F0E442"
+PURPLE, SKY, GREY = "#CC79A7", "#56B4E9", "#999999"
 
 LOW, HIGH = np.array([33, 102, 220]), np.array([214, 39, 40])  # of weights: blue, red
+FRAME_COLORS, FRAME_RANGE = "viridis", (0.0, 1.0)
+ERROR_COLORS = "YlOrRd"
+ERROR_SCALE = 0.15  # metres at the end of the scale of errors
 
 
 def weight_colors(weights: np.ndarray) -> np.ndarray:
@@ -17,12 +25,13 @@ def weight_colors(weights: np.ndarray) -> np.ndarray:
 
 def frame_colors(frames: np.ndarray, total: int) -> np.ndarray:
     """Frames [N] of ``total`` along the trajectory, as uint8 [N, 3]; grey where it is -1."""
-    colors = _mapped("turbo", 0.05 + 0.9 * np.asarray(frames) / max(total - 1, 1))
+    low, high = FRAME_RANGE
+    colors = _mapped(FRAME_COLORS, low + (high - low) * np.asarray(frames) / max(total - 1, 1))
     return np.where((np.asarray(frames) < 0)[:, None], np.uint8(128), colors)
 
 
 def error_colors(errors: np.ndarray) -> np.ndarray:
-    """Distances [N] (metres) to the ground truth, as in the pictures of runs: uint8 [N, 3]."""
+    """Distances [N] (metres) to the ground truth: uint8 [N, 3]."""
     return _mapped(ERROR_COLORS, errors / ERROR_SCALE)
 
 

@@ -1,14 +1,15 @@
-"""A picked point and the views kept there."""
+"""Which views speak for a point, and how much."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from tf_lab.geometry import invert_pose, project
-from tf_lab.viewer.growth import Growth
+from tf_lab.geometry import FINE, invert_pose, project
+from tf_lab.online.reconstructor import Reconstructor
 
 MARK = 3  # pixels from the point to the frame drawn around it
 
@@ -42,26 +43,39 @@ class Pick:
         return np.array([view.weight for view in self.views])
 
 
-def pick(growth: Growth, point: np.ndarray) -> Pick:
-    """The views kept at a point: in its fine voxel, or, where there is none, in its coarse one."""
+def best_frames(online: Reconstructor, points: np.ndarray) -> np.ndarray:
+    """The frame of greatest weight at points [P, 3] (metres), by number: int [P]; -1: none."""
+    voxels, which = np.unique(np.floor(np.asarray(points) / FINE), axis=0, return_inverse=True)
+    frames, weights = online.view_weights((voxels + 0.5) * FINE)
+    best = np.take_along_axis(frames, weights.argmax(1)[:, None], 1)[:, 0]
+    return best[which.reshape(-1)]
+
+
+def pick(online: Reconstructor, sources: Sequence[int], point: np.ndarray) -> Pick:
+    """The views kept at a point: in its fine voxel, or, where there is none, in its coarse one.
+
+    Args:
+        online: the reconstruction.
+        sources: the capture's frame behind each of its frames.
+        point: [3], metres.
+    """
     for level in ("fine", "coarse"):
-        frames, weights = (x[0] for x in growth.reconstructor.view_weights(point[None], level))
+        frames, weights = (x[0] for x in online.view_weights(point[None], level))
         held = np.flatnonzero(frames >= 0)
         if len(held):
             break
     order = held[np.argsort(-weights[held], kind="stable")]
     views = [
-        KeptView(growth.sources[frame], float(weight), _marked(growth, int(frame), point))
+        KeptView(sources[frame], float(weight), _marked(online, int(frame), point))
         for frame, weight in zip(frames[order], weights[order], strict=True)
     ]
     return Pick(point, level, tuple(views))
 
 
-def _marked(growth: Growth, frame: int, point: np.ndarray) -> np.ndarray:
+def _marked(online: Reconstructor, frame: int, point: np.ndarray) -> np.ndarray:
     """A frame's image with a white and black square around a point (metres)."""
-    frames = growth.reconstructor.frames
-    image = frames.images[frame].permute(1, 2, 0).numpy().copy()
-    K, pose = frames.poses[frame]
+    image = online.frames.images[frame].permute(1, 2, 0).numpy().copy()
+    K, pose = online.frames.poses[frame]
     uv, _ = project(torch.as_tensor(point).float()[None], K, invert_pose(pose))
     column, row = uv[0].round().long().tolist()
     for distance, value in ((MARK + 1, 0), (MARK, 255)):

@@ -1,0 +1,258 @@
+"""The paper's figures by one command, of whatever there is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tf_lab.benchmarks.plane_sweep import plane_sweep
+from tf_lab.commands.inputs import of_run, open_input, own_groundtruth
+from tf_lab.config.build import capture_settings, ready
+from tf_lab.config.schema import FiguresConfig
+from tf_lab.data.capture import Capture
+from tf_lab.data.scene import Scene
+from tf_lab.data.sources.source import open_source
+from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import evaluate_scene
+from tf_lab.meshes.files import read_mesh
+from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.reporting.figures.catalog import check_names, draw_figures
+from tf_lab.reporting.figures.contract import Compared, Material, Shown
+from tf_lab.reporting.gallery import compared, groundtruth_mesh, scenes_of
+from tf_lab.reporting.paper import OURS
+from tf_lab.reporting.studies import Study, open_study
+from tf_lab.support.devices import device_of
+from tf_lab.support.documents import read_json
+from tf_lab.support.files import check_folder
+
+STEREO = "Plane-sweep stereo"
+SHOWN_ROWS = 4  # of a study, in the comparison
+FEW_VIEWS = 4  # K, beside the K asked for
+POLICIES = ("attention", "random")
+
+
+def run(config: FiguresConfig) -> None:
+    """Draw what there is something for; say in a line each what there is not."""
+    check_names(config.figures)
+    output = Path(config.output)
+    check_folder(output)
+    with Workbench(config) as bench:
+        files, left_out = draw_figures(config.figures, bench.material(), output)
+    if not files:
+        raise TFLabError("; ".join(left_out))
+    print(*left_out, f"{output}: {', '.join(path.name for path in files)}", sep="\n")
+
+
+def material_of(study: Study, benchmark: str) -> Material:
+    """What the figures of a report are drawn of."""
+
+    def shown() -> Shown:
+        found = [run for (row, _), run in study.runs.items() if row == OURS]
+        run = next(iter(found or study.runs.values()))
+        parts = {name: getattr(run.config, name) for name in ("data", "select", "online")}
+        with Workbench(FiguresConfig(run=str(run.directory), **parts)) as bench:
+            return bench.shown()
+
+    return Material(
+        cache(shown),
+        cache(partial(compared_rows, study, len(study.scenes))),
+        partial(all_rows, study),
+        lambda: study,
+        partial(_measured, benchmark),
+    )
+
+
+def compared_rows(study: Study, count: int, scene: str | None = None) -> list[Compared]:
+    """Some test scenes under some rows of a study, ours last.
+
+    Raises:
+        TFLabError: no run has a mesh, or there is no such scene.
+    """
+    scenes = _only(scenes_of(study), scene)
+    found = []
+    for name, runs in [*scenes.items()][:count]:
+        rows = dict(reversed([*runs.items()][:SHOWN_ROWS]))
+        found.append(compared(rows, name, groundtruth_mesh(next(iter(rows.values())), name)))
+    return found
+
+
+def all_rows(study: Study, scene: str | None = None) -> Compared:
+    """A test scene under all rows of a study. Errors as of `compared_rows`."""
+    name, runs = next(iter(_only(scenes_of(study), scene).items()))
+    return compared(runs, name, groundtruth_mesh(next(iter(runs.values())), name))
+
+
+def _only(scenes: Mapping[str, Any], scene: str | None) -> Mapping[str, Any]:
+    """All scenes, or the one asked for. Raises TFLabError: it is not there."""
+    if scene is None:
+        return scenes
+    if scene not in scenes:
+        raise TFLabError(f"scene={scene}: there is {', '.join(scenes)}")
+    return {scene: scenes[scene]}
+
+
+def _measured(path: str) -> Mapping[str, Any]:
+    cure = "run python -m tf_lab.benchmark, or give benchmark=FILE"
+    if not Path(path).exists():
+        raise TFLabError(f"{path}: no such file; {cure}")
+    found: Mapping[str, Any] = read_json(Path(path), cure)
+    return found
+
+
+class Workbench:
+    """Reconstructs what figures ask for, each but once."""
+
+    def __init__(self, config: FiguresConfig) -> None:
+        self.asked = config
+        self._stack = ExitStack()
+        self._made: dict[tuple[str, str], Reconstruction] = {}
+        self._truths: dict[str, Path | None] = {}
+
+    def __enter__(self) -> Workbench:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def material(self) -> Material:
+        """All of it: of the study's meshes, unless an input, run or checkpoint is given."""
+        config = self.asked
+        own = any(x is not None for x in (config.input, config.run, config.checkpoint))
+        return Material(
+            cache(self.shown),
+            cache(lambda: self.compared() if own or not self._has_meshes() else self._rows()),
+            lambda: self.ablations() if own or not self._has_meshes() else self._all_rows(),
+            lambda: self.study,
+            partial(_measured, config.benchmark),
+            _points(config.points),
+        )
+
+    def shown(self) -> Shown:
+        """The first scene by the network."""
+        name, capture = next(iter(self.scenes.items()))
+        directory = self._truth(name)
+        truth = None if directory is None else read_mesh(directory / "mesh_gt.ply")
+        return Shown(capture, self._make(name, self.settings), truth)
+
+    def compared(self) -> list[Compared]:
+        """Some scenes by stereo and by the network."""
+        return [
+            self._compared(
+                name,
+                {
+                    STEREO: self._make(name, STEREO),
+                    self.label: self._make(name, self.settings),
+                },
+            )
+            for name in [*self.scenes][: self.config.scenes]
+        ]
+
+    def ablations(self) -> Compared:
+        """The first scene by the network, with few and many views, of every policy."""
+        name, settings = next(iter(self.scenes)), self.settings
+        found = {}
+        for views in sorted({FEW_VIEWS, settings.views}):
+            for policy in POLICIES:
+                select = settings.select if policy == settings.select.policy else policy
+                made = self._make(name, replace(settings, views=views, select=select))
+                found[f"K = {views}, {policy}"] = made
+        return self._compared(name, found)
+
+    def _compared(self, name: str, made: Mapping[str, Reconstruction]) -> Compared:
+        meshes, directory = {key: each.mesh for key, each in made.items()}, self._truth(name)
+        if directory is None:
+            return Compared(name, meshes, None)
+        scores = {key: evaluate_scene(mesh, directory)["fscore"] for key, mesh in meshes.items()}
+        return Compared(name, meshes, read_mesh(directory / "mesh_gt.ply"), scores)
+
+    def _make(self, name: str, how: ReconstructionSettings | str) -> Reconstruction:
+        key = (name, str(how))
+        if key not in self._made:
+            capture, device = self.scenes[name], device_of(self.config.device)
+            if isinstance(how, str):
+                distance = self.settings.keyframe_distance
+                self._made[key] = plane_sweep(capture, distance, device=device)
+            else:
+                self._made[key] = reconstruct(self.network, capture, how)
+        return self._made[key]
+
+    def _truth(self, name: str) -> Path | None:
+        if name not in self._truths:
+            context = own_groundtruth(self.scenes[name])
+            self._truths[name] = self._stack.enter_context(context)
+        return self._truths[name]
+
+    @cached_property
+    def _input(self) -> tuple[FiguresConfig, Mapping[str, Capture]]:
+        config = self.asked
+        if config.run is not None:
+            return of_run(config, Path(config.run))
+        if config.input is not None:
+            capture = open_input(config, self._loaded[1])
+            return config, _only({capture.name: capture}, config.scene)
+        rooms = open_source(config.data).scenes("test")["test"]
+        return config, {name: Scene(path) for name, path in _only(rooms, config.scene).items()}
+
+    @cached_property
+    def _loaded(self) -> tuple[Any, dict[str, Any]]:
+        path = self.asked.checkpoint if self.asked.run is None else self.config.checkpoint
+        return load_network(Path(path) if path else shipped_checkpoint())
+
+    @property
+    def config(self) -> FiguresConfig:
+        """With a run's settings, if there is a run."""
+        return self._input[0]
+
+    @property
+    def scenes(self) -> Mapping[str, Capture]:
+        """By name; at least one."""
+        return self._input[1]
+
+    @cached_property
+    def network(self) -> Any:
+        """On its device."""
+        return ready(self._loaded[0], self.config.online, device_of(self.config.device))
+
+    @cached_property
+    def settings(self) -> ReconstructionSettings:
+        """How it reconstructs."""
+        return capture_settings(self.config)
+
+    @property
+    def label(self) -> str:
+        """What the network is called."""
+        return OURS if self.config.checkpoint else "Shipped checkpoint"
+
+    @cached_property
+    def study(self) -> Study:
+        """The runs'."""
+        runs = self.asked.runs
+        return open_study([runs] if isinstance(runs, str) else runs, self.asked.study)[0]
+
+    def _has_meshes(self) -> bool:
+        try:
+            return bool(scenes_of(self.study))
+        except TFLabError:
+            return False
+
+    def _rows(self) -> list[Compared]:
+        return compared_rows(self.study, self.asked.scenes, self.asked.scene)
+
+    def _all_rows(self) -> Compared:
+        return all_rows(self.study, self.asked.scene)
+
+
+def _points(given: Sequence[Sequence[float]] | None) -> np.ndarray | None:
+    if given is None:
+        return None
+    if not given or any(len(point) != 3 for point in given):
+        raise TFLabError(f"points={given}: give [[x,y,z],...], metres")
+    return np.array(given, float)

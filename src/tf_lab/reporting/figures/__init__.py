@@ -1,0 +1,1 @@
+"""The paper's figures, each drawn of plain data; `catalog` knows all by name."""
