@@ -35,7 +35,7 @@ from tf_lab.support.tasks import run_tasks
 FORMAT = 1
 INDEX = "shards.json"
 PLAN = "plan.json"
-CHOSEN_BY_STEP = ("chunks", "views", "rules")  # settings of training that shape no chunk
+CHOSEN_BY_STEP = ("chunks", "views", "rules", "camera_noise")  # they shape no chunk
 TENSORS = ("K", "world_T_cam", "coarse_target", "fine_target", "points", "sdf")
 
 
