@@ -132,6 +132,25 @@ def test_meshing_in_between_changes_nothing(
         torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-4)
 
 
+def test_what_is_rough_is_made_good(tiny_network: Factory, scene: Scene) -> None:
+    """Around a region only voxels that are new are fused; once all is updated nothing tells."""
+    network = balanced(tiny_network(), scene)
+    fused = {}
+    for roughly in (False, True):
+        r = Reconstructor(network, settings_of(views=2))
+        add(r, scene, FRAMES[:4])
+        r.update()
+        add(r, scene, FRAMES[4:])
+        count = fused_by(network)
+        r.update((np.array(REGION[0]), np.array(REGION[1])), roughly=roughly)
+        fused[roughly] = dict(count)
+        chunk = r.coarse.blocks.voxels(r.coarse.store.dirty.nonzero()[:, 0]) // 5  # of 1.5 m
+        assert not (chunk == torch.tensor(FIRST)).all(1).any()
+    assert 0 < fused[True]["coarse"] < fused[False]["coarse"]
+    assert 0 < fused[True]["fine"] < fused[False]["fine"]
+    assert_same_surface(r.mesh(), reconstruct(network, scene, views=2).mesh())
+
+
 def test_only_chunks_that_changed_are_meshed(tiny_network: Factory, scene: Scene) -> None:
     network = balanced(tiny_network(refine=False), scene)
     r = reconstruct(network, scene)

@@ -67,9 +67,10 @@ def live(
     """Play frames of a capture as the viewer does.
 
     Returns:
-        "frames", "width", "height"; "frames a second" up to the last; "worst gap" between two
-        refreshes of the mesh from the start to the last frame, and "mean gap", seconds; "whole
-        after", seconds from the last frame to a mesh that is up to date; resident bytes when that
+        "frames", "width", "height"; "frames a second" up to the last; "first after", seconds from
+        the start to the first piece of the mesh; "worst gap" between two refreshes from then to the
+        last frame, and "mean gap", seconds; "whole after", seconds from the last frame to a mesh
+        that is up to date; resident bytes when that
         frame was added ("memory at the last frame"), when the mesh was whole ("memory when whole")
         and after it was coloured otherwise `ROUNDS` times ("memory later"); "bytes sent" until it
         was whole.
@@ -82,7 +83,8 @@ def live(
     while session.position < len(frames):
         session.work()
     last, at_last = now(), resident_memory()
-    gaps = np.diff([start, *(told for told in watcher.meshes if told <= last), last])
+    refreshed = [*(told for told in watcher.meshes if told <= last), last]
+    gaps = np.diff(refreshed) if len(refreshed) > 1 else np.zeros(1)
     finish(session)
     whole, when_whole, sent = now(), resident_memory(), watcher.sent
     for mode in ("best view", "image") * ROUNDS:
@@ -93,6 +95,7 @@ def live(
         "width": capture.size[0],
         "height": capture.size[1],
         "frames a second": len(frames) / (last - start),
+        "first after": refreshed[0] - start,
         "worst gap": float(gaps.max()),
         "mean gap": float(gaps.mean()),
         "whole after": whole - last,

@@ -45,6 +45,7 @@ def _live(live: Mapping[str, float]) -> tuple[list[str], Rows]:
     memory = ("memory at the last frame", "memory when whole", "memory later")
     rows = [
         ["frames a second", f"{live['frames a second']:.2f}"],
+        ["s from the start to the first surface", f"{live['first after']:.2f}"],
         ["s between refreshes of the mesh, mean", f"{live['mean gap']:.2f}"],
         ["s between refreshes of the mesh, worst", f"{live['worst gap']:.2f}"],
         ["s from the last frame to the whole mesh", f"{live['whole after']:.2f}"],

@@ -63,27 +63,38 @@ class Pipeline:
         self.decode = Decoder(network.occupancy, n, samples)
         self.centre = Decoder(network.occupancy, 1, samples)
 
-    def update(self, box: Box | None) -> Tensor:
-        """Bring the occupancy in a box up to date; numbers of the fine blocks that were changed."""
+    def update(self, box: Box | None, roughly: bool = False) -> Tensor:
+        """Bring the occupancy in a box up to date; numbers of the fine blocks that were changed.
+
+        Args:
+            box: metres; None: everything.
+            roughly: voxels around the box, which only the 3D CNNs read, stay as they were last
+                fused. Once all are brought up to date nothing of that is left.
+        """
+        inner = box if roughly else None
         shown = grown(box, FINE * (3 if self.filter else 6))  # with what interpolation reads
         fused = grown(shown, FINE * self.reach)
-        self.update_coarse(fused)
-        self.fuse(self.fine, fused)
+        self.update_coarse(fused, inner)
+        self.fuse(self.fine, fused, inner)
         self.refine_fine(shown)
         self.mask_fine(shown)
         return self.update_values(box)
 
-    def update_coarse(self, box: Box | None) -> None:
+    def update_coarse(self, box: Box | None, inner: Box | None = None) -> None:
         """Bring coarse features and mask in a box up to date, and open the fine level there."""
         refined = grown(box, COARSE * 2)
-        self.fuse(self.coarse, grown(refined, COARSE * self.reach))
+        self.fuse(self.coarse, grown(refined, COARSE * self.reach), inner)
         self.refine_coarse(refined)
         self.mask_coarse(box)
 
-    def fuse(self, level: Level, box: Box | None) -> None:
-        """Fuse the voxels in a box whose view set changed."""
+    def fuse(self, level: Level, box: Box | None, inner: Box | None = None) -> None:
+        """Fuse the voxels in a box whose view set changed; outside ``inner`` only new ones."""
         rows = level.blocks.rows_in((level.blocks_in(box) & level.flags["open"]).nonzero()[:, 0])
         rows = rows[level.store.dirty[rows]]
+        if inner is not None:
+            blocks = torch.div(rows, level.blocks.volume, rounding_mode="floor")
+            new = (level.features["psi"][rows] == 0).all(1)  # a layer norm's output never is
+            rows = rows[level.blocks_in(inner)[blocks] | new]
         if len(rows):
             level.features["psi"][rows] = level.fuse(rows, self.batch)[0]
             level.store.dirty[rows] = False

@@ -122,10 +122,13 @@ class Reconstructor:
         return mesh
 
     @torch.inference_mode()
-    def update(self, box: Box | None = None) -> int:
-        """Bring occupancy and mesh in a box (metres) up to date; how many chunks were meshed."""
+    def update(self, box: Box | None = None, roughly: bool = False) -> int:
+        """Bring occupancy and mesh in a box (metres) up to date; how many chunks were meshed.
+
+        ``roughly`` is for those who watch, see `Pipeline.update`.
+        """
         with self.precision():
-            self.surface.touch(self.pipeline.update(whole_chunks(box)))
+            self.surface.touch(self.pipeline.update(whole_chunks(box), roughly))
         return self.surface.update(box)
 
     @torch.inference_mode()

@@ -9,7 +9,7 @@ import torch
 import trimesh
 
 from tf_lab.data.capture import Capture
-from tf_lab.geometry import CHUNK, COARSE, FINE
+from tf_lab.geometry import CHUNK, FINE
 from tf_lab.meshes.weld import Part
 from tf_lab.network.network import Network
 from tf_lab.online.lattice.level import Level
@@ -49,15 +49,19 @@ class Growth:
         r.add_frame(capture.image(frame), capture.K[frame], capture.world_T_cam[frame])
         self.sources.append(frame)
         self.settled = False
-        for level, voxel in ((r.coarse, COARSE), (r.fine, FINE)):
-            self.stale.update(_changed(level, round(CHUNK / voxel)))
+        for level in (r.coarse, r.fine):
+            self.stale.update(_changed(level))
 
-    def mesh_next(self) -> Pieces:
-        """Mesh the chunk that waits most urgently; what is other than before."""
+    def mesh_next(self, roughly: bool = False) -> Pieces:
+        """Mesh the chunk that waits most urgently; what is other than before.
+
+        Args:
+            roughly: as of `Reconstructor.update`; only `settle` makes that good everywhere.
+        """
         ((chunk, _),) = self.stale.most_common(1)
         del self.stale[chunk]
         low = np.array(chunk) * CHUNK
-        self.reconstructor.update((low + SPREAD, low + CHUNK - SPREAD))
+        self.reconstructor.update((low + SPREAD, low + CHUNK - SPREAD), roughly)
         return self._news()
 
     def settle(self) -> Pieces:
@@ -105,13 +109,14 @@ class Growth:
         return fresh
 
 
-def _changed(level: Level, edge: int) -> list[Chunk]:
-    """Chunks, ``edge`` voxels wide, with voxels whose views changed since they were fused."""
-    rows = (level.store.dirty & level.active).nonzero()[:, 0]
-    if not len(rows):
-        return []
-    chunks = torch.div(level.blocks.voxels(rows), edge, rounding_mode="floor")
-    return [(x, y, z) for x, y, z in torch.unique(chunks, dim=0).tolist()]
+def _changed(level: Level) -> list[Chunk]:
+    """Chunks with voxels whose views changed since they were fused."""
+    blocks, store = level.blocks, level.store
+    changed = (store.dirty & (store.seen > 0)).view(-1, blocks.volume).any(1)
+    coords = blocks.coords[changed & level.flags["open"]]
+    edge = round(CHUNK / (level.voxel * blocks.edge))
+    chunks = torch.unique(torch.div(coords, edge, rounding_mode="floor"), dim=0)
+    return [(x, y, z) for x, y, z in chunks.tolist()]
 
 
 def _same(old: Part | None, new: Part) -> bool:

@@ -28,7 +28,7 @@ from tf_lab.viewer.paint import MODES, painter
 
 log = logging.getLogger(__name__)
 
-REFRESH = 0.5  # seconds after which the mesh comes before the next frame
+REFRESH = 0.25  # seconds after which the mesh comes before the next frame
 
 
 class Listener(Protocol):
@@ -206,7 +206,8 @@ class Session:
         if self._frame_is_due() and not (growth.stale and old):
             return self._add, "adding frames"
         if growth.stale:
-            return lambda: self._tell(growth.mesh_next()), "meshing"
+            hurry = self._pause() is not None
+            return lambda: self._tell(growth.mesh_next(roughly=hurry)), "meshing"
         if not growth.settled:
             return self._settle, "meshing"
         if self._pick_again and self.point is not None:
