@@ -17,11 +17,18 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
 OWN = {"extending.md"}  # has a test of its own
 PAGES = [p for p in [*REPOSITORY.glob("*.md"), *DOCS.rglob("*.md")] if p.name not in OWN]
+TEXTS = [
+    *(page.read_text() for page in PAGES),
+    *re.findall(
+        r"\nExamples:\n([^\"]+)",
+        "".join(code.read_text() for code in (REPOSITORY / "src" / "tf_lab").glob("*.py")),
+    ),
+]
 COMMANDS = sorted(
     {
         command.strip()
-        for page in PAGES
-        for command in re.findall(r"python -m (tf_lab\.[^`\n&]+)", page.read_text())
+        for text in TEXTS
+        for command in re.findall(r"python -m (tf_lab\.[^`\n&]+)", text)
     }
 )
 # the settings in a page's tables, and the command that takes them

@@ -1,6 +1,10 @@
 """The paper's runtime tables on this machine, eager beside lazy, and what memory it takes.
 
 python -m tf_lab.benchmark [model=paper|small|tiny] [device=auto|cpu|cuda] [width=640 height=480]
+
+Examples:
+  python -m tf_lab.benchmark model=tiny width=160 height=120
+  python -m tf_lab.benchmark parts=[live]
 """
 
 from tf_lab.cli.command import command

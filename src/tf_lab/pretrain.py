@@ -1,6 +1,10 @@
 """Pre-train the encoder on the train split by matching: stand-in for, or finish of, ImageNet.
 
 python -m tf_lab.pretrain model=tiny [encoder=efficientnet_lite0] [output=FILE.safetensors]
+
+Examples:
+  python -m tf_lab.pretrain model=tiny data.size=64
+  python -m tf_lab.pretrain model=tiny encoder=efficientnet_lite0 output=encoder.safetensors
 """
 
 from dataclasses import fields

@@ -3,6 +3,10 @@
 python -m tf_lab.reconstruct [input=DIR] [checkpoint=FILE] [output=FILE.ply]
 
 Without an input it reconstructs a test room and prints its score.
+
+Examples:
+  python -m tf_lab.reconstruct input=my_video output=room.glb decimate=0.2
+  python -m tf_lab.reconstruct input=my_video method=plane_sweep
 """
 
 from tf_lab.cli.command import command

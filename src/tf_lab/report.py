@@ -1,6 +1,10 @@
 """All finished runs as the paper's tables and charts, beside the paper's numbers.
 
 python -m tf_lab.report [runs=DIR] [output=DIR]
+
+Examples:
+  python -m tf_lab.report
+  python -m tf_lab.report runs=results/reference/runs output=/tmp/report pages=false
 """
 
 from tf_lab.cli.command import command

@@ -4,6 +4,10 @@ python -m tf_lab.runs [list | show NAME... | rm [--dry-run] NAME...] [output=DIR
 
 A NAME is a directory, its name, or the key at the name's end. With a training go its evaluations;
 --dry-run only says what would go.
+
+Examples:
+  python -m tf_lab.runs list output=outputs
+  python -m tf_lab.runs show NAME
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
 """Train (or reuse the identical finished training), evaluate on the test split, print the row.
 
 python -m tf_lab.train [overrides]
+
+Examples:
+  python -m tf_lab.train fusion=avg seed=1
+  python -m tf_lab.train -m views=4,8,16 select=rnd,attn
 """
 
 from tf_lab.cli.command import command

@@ -4,6 +4,10 @@ python -m tf_lab.view [input=DIR | run=DIR | mesh=FILE] [checkpoint=FILE] [port=
 
 Without any it reconstructs a test room. The page is for this machine only; the command prints its
 address and how to see it from another.
+
+Examples:
+  python -m tf_lab.view input=my_video views=8
+  python -m tf_lab.view checkpoint=[A.safetensors,B.safetensors] port=8090
 """
 
 from tf_lab.cli.command import command

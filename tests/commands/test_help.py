@@ -19,6 +19,9 @@ def test_help_begins_with_purpose_and_usage(command: str) -> None:
     assert len(first) > 20 and first.endswith((".", ":"))
     assert blank == ""
     assert usage.startswith(f"python -m tf_lab.{command}")
+    examples = re.search(r"\nExamples:\n((?:  .+\n)+)", result.out)
+    assert examples is not None
+    assert examples[1].count(f"  python -m tf_lab.{command}") >= 2
     assert "README.md" in result.out.splitlines()[-1]
     assert "hydra" not in result.out.lower()
 
@@ -41,7 +44,7 @@ def test_every_setting_of_a_choice_has_a_comment(option: str) -> None:
 
 
 def test_every_choice_says_what_it_is() -> None:
-    lines = call("train", "-h").out.split("\n\n")[2].splitlines()[1:]
+    lines = call("train", "-h").out.partition("Choices")[2].split("\n\n")[0].splitlines()[1:]
     shown = {line[2:].split()[0] for line in lines}
     files = [p for p in conf_dir().glob("*/*.yaml") if (p.parent / p.name).is_file()]
     assert {f"{p.parent.name}={p.stem}" for p in files} <= shown
