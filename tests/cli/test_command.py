@@ -1,11 +1,13 @@
 """What is around every command."""
 
 import io
+import os
 import sys
+from typing import Any
 
 import pytest
 
-from tf_lab.cli.command import print_anything
+from tf_lab.cli.command import command, print_anything
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
@@ -20,3 +22,14 @@ def test_what_cannot_be_printed_ends_nothing(
     assert written.getvalue().decode("utf-8") == (
         "Küche ↓ ?\n" if encoding != "ascii" else "K?che ? ?\n"
     )
+
+
+def test_threads_do_not_wait_in_circles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unless somebody wants that."""
+    for given, expected in ((None, "PASSIVE"), ("ACTIVE", "ACTIVE")):
+        monkeypatch.setattr(os, "environ", {} if given is None else {"OMP_WAIT_POLICY": given})
+        ran: list[Any] = []
+        monkeypatch.setattr("tf_lab.cli.run.run_command", lambda *given, ran=ran: ran.extend(given))
+        command("train", "About.", "nowhere:run")()
+        assert ran[0] == "train"
+        assert os.environ["OMP_WAIT_POLICY"] == expected

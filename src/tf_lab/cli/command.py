@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Callable, Sequence
 
 from tf_lab.support.stops import stoppable
 
+# Threads of OpenMP wait for each other by turning in circles, unless told otherwise before torch is
+# loaded: beside other work on the same cores (a browser that shows the page) that costs tenfold.
+WAITING = ("OMP_WAIT_POLICY", "PASSIVE")
 AGAIN = "what it wrote is whole, the same command starts again"
 
 
@@ -37,6 +41,7 @@ def command(
 
     def main() -> None:
         print_anything()
+        os.environ.setdefault(*WAITING)
         with stoppable(keeps):
             from tf_lab.cli.run import run_command  # takes a second, in which signals are heard
 
