@@ -245,7 +245,8 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         ("inputs=no_ray", "Ours: w/o view ray"),
         # ours, not the paper's
         ("inputs=matching", "Ours: + matching"),
-        ("encoder=efficientnet_lite0", "Ours: efficientnet_lite0 encoder"),
+        # all rows of a study have the same encoder
+        ("encoder=efficientnet_lite0 fusion=avg", "Ours: w/o TRSF, avg"),
         ("select=diverse views=4", "Ours: 4 images, diverse (ours)"),
         ("select=diverse select.spread=0.5", "Ours: 16 images, diverse (ours) spread=0.5"),
         ("select=diverse", "Ours: 16 images, diverse (ours)"),

@@ -35,6 +35,18 @@ def test_fscore_against_views(study: Study) -> None:
     assert "3 seeds, 4 test scenes" in here.get_title()
 
 
+def test_a_selection_of_ours_is_drawn_where_it_was_run(study: Study, tmp_path: Path) -> None:
+    assert len(lines(views_chart(study).axes[0])) == 2
+    for k in (4, 8, 16):
+        write_run(tmp_path, f"views={k} select=diverse", 0, [0.5 + k / 100])
+    here, there = views_chart(open_study([tmp_path])[0]).axes
+    (points,) = lines(here)
+    np.testing.assert_allclose(points, [(4, 0.54), (8, 0.58), (16, 0.66)], rtol=1e-6)
+    assert len(lines(there)) == 2  # the paper's
+    legend = here.get_legend()
+    assert legend and [text.get_text() for text in legend.get_texts()] == ["diverse (ours)"]
+
+
 def test_fscore_of_every_row(study: Study) -> None:
     (axes,) = rows_chart(study).axes
     labels = [label.get_text() for label in axes.get_yticklabels()]

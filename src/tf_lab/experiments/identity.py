@@ -56,7 +56,7 @@ def run_directory(config: TrainConfig) -> Path:
 
 
 def row_label(config: TrainConfig) -> str:
-    """The row of the paper's tables that a config is."""
+    """The row of the paper's tables that a config is, whatever all rows of its study share."""
     fusion, policy = FUSIONS.named(config.fusion), POLICIES.named(config.select)
     named = fusion.name != "transformer"
     parts = [" ".join([fusion.label or fusion.name, *_hyper(config.fusion)])] if named else []
@@ -64,7 +64,6 @@ def row_label(config: TrainConfig) -> str:
     parts += [] if config.filter else ["w/o C2F filter"]
     parts += [] if config.inputs.depth else ["w/o projected depth"]
     parts += [] if config.inputs.ray else ["w/o view ray"]
-    parts += [] if config.encoder.name == "resnet" else [f"{config.encoder.name} encoder"]
     parts += ["+ matching"] if config.inputs.matching else []
     if config.views != PAPER_VIEWS or policy.name != "attention":
         label = [] if policy.name == "attention" else [policy.label or policy.name]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tf_lab.reporting.paper import ABLATIONS, ATTENTION, OURS, RANDOM, SCORES
+from tf_lab.reporting.paper import ABLATIONS, ATTENTION, DIVERSE, OURS, RANDOM, SCORES
 from tf_lab.reporting.statistics import deviation
 from tf_lab.reporting.studies import Study
-from tf_lab.support.colors import BLUE, ORANGE
+from tf_lab.support.colors import BLUE, GREEN, ORANGE
 from tf_lab.support.figures import new_figure, write_figure
 
 if TYPE_CHECKING:
@@ -23,12 +23,13 @@ MEAN = "mean ± standard deviation"
 SELECTIONS: tuple[tuple[str, dict[int, str], str, str, float], ...] = (
     ("attention", ATTENTION, BLUE, "o", -0.05),
     ("random", RANDOM, ORANGE, "s", 0.05),
+    ("diverse (ours)", DIVERSE, GREEN, "^", 0.0),
 )
 DPI = 200
 
 
 def views_chart(study: Study) -> Figure:
-    """F-score against views kept a voxel, attention and random selection, beside the paper's.
+    """F-score against views kept a voxel, by how they are selected, beside the paper's.
 
     Dots are seeds, lines go through their means, and bars are the standard deviation.
     """
@@ -36,9 +37,10 @@ def views_chart(study: Study) -> Figure:
     here, there = figure.subplots(1, 2, sharey=True)
     for name, rows, color, marker, shift in SELECTIONS:
         found = {k: s for k, row in rows.items() if len(s := study.scores(row).mean(1))}
-        theirs = {k: np.array([SCORES[row]["fscore"]]) for k, row in rows.items()}
+        theirs = {k: np.array([SCORES[row]["fscore"]]) for k, row in rows.items() if row in SCORES}
         for axes, values in ((here, found), (there, theirs)):
-            _draw_line(axes, values, name, color, marker, shift)
+            if values:
+                _draw_line(axes, values, name, color, marker, shift)
     here.set(title=f"This study ({_repetitions(study)})", ylabel="F-score")
     there.set(title="Paper (ScanNet)")
     for axes in (here, there):
@@ -46,7 +48,8 @@ def views_chart(study: Study) -> Figure:
         axes.set_xticks([*ATTENTION], [str(k) for k in ATTENTION])
         axes.set(xlabel="views kept a voxel, K", xlim=(3.4, 18.8))
         axes.minorticks_off()
-    there.legend(title="view selection", frameon=False, loc="best")
+    fullest = here if found else there  # the paper has no selection of ours
+    fullest.legend(title="view selection", frameon=False, loc="best")
     return figure
 
 
