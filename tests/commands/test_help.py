@@ -76,3 +76,11 @@ def test_help_of_a_process(tmp_path: Path) -> None:
     assert "python -m tf_lab.evaluate predictions=DIR groundtruth=DIR" in result.out
     assert "predictions=???" in result.out
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_an_input_makes_superfluous_is_told(tmp_path: Path) -> None:
+    """Its images are resized to what the checkpoint was trained at, whatever data.width says."""
+    for command, given in (("reconstruct", "input"), ("view", "mesh"), ("figures", "run")):
+        result = call(command, f"{given}={tmp_path}", "data.width=320")
+        line = f"error: data.width=320: tf_lab.{command} does not use it with {given}=\n"
+        assert (result.status, result.err) == (2, line)

@@ -7,7 +7,7 @@ import difflib
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +37,13 @@ def is_sweep(given: argparse.Namespace) -> bool:
     return asked and JOB not in given.overrides
 
 
-def check(unused: Sequence[str] = ()) -> None:
+def check(unused: Sequence[str] = (), replaced: Mapping[str, str] | None = None) -> None:
     """That the settings given to the command whose job is running are of use.
 
     Args:
         unused: settings (or groups of them) that the command does not read. A choice among a
             group's options may still say something else.
+        replaced: groups that are not read either, by the given setting that takes their place.
 
     Raises:
         TFLabError: one is not.
@@ -52,6 +53,10 @@ def check(unused: Sequence[str] = ()) -> None:
         name = override.key_or_group
         if is_within(name, (*unused, FOUND_OUT)) and name not in job.runtime.choices:
             raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
+        for given, group in (replaced or {}).items():
+            if name.startswith(f"{group}."):
+                unread = f"tf_lab.{job.job.config_name} does not use it with {given}="
+                raise TFLabError(f"{override.input_line}: {unread}")
         if is_within(name, ["launcher"]) and JOB not in sys.argv:
             raise TFLabError(f"{override.input_line} needs a sweep: add -m or sweep=NAME")
 

@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pkgutil import resolve_name
 from typing import Any, NoReturn
 
@@ -38,7 +38,9 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
     def composed(cfg: DictConfig) -> None:
         try:
             if not in_sweep():  # else each job does
-                overrides.check(unused)
+                instead: Mapping[str, str] = getattr(COMMANDS[name], "replaced", {})
+                used = {key: group for key, group in instead.items() if cfg.get(key) is not None}
+                overrides.check(unused, used)
             config: Any = typed(COMMANDS[name], cfg)
             if jobs and in_sweep():  # in a worker of Slurm or Ray
                 job = HydraConfig.get()

@@ -64,8 +64,8 @@ def run(config: ReconstructConfig) -> None:
         WRITERS[output.suffix](mesh, temporary)
     skipped = [*capture.skipped, *result.skipped]
     print(
-        f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames in "
-        f"{seconds:.1f} s, {len(skipped)} frames skipped"
+        f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames "
+        f"({'x'.join(map(str, capture.size))}) in {seconds:.1f} s, {len(skipped)} frames skipped"
     )
     for reason in skipped[:10]:
         print(f"  skipped {reason}")

@@ -7,8 +7,9 @@ is chosen; their settings are options of the group by being registered.
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass, field, is_dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -167,8 +168,13 @@ class PrepareConfig:
 
 @dataclass(frozen=True)
 class CaptureConfig(InferenceSettings, ReadSettings):
-    """A capture and the network that reconstructs it."""
+    """A capture and the network that reconstructs it.
 
+    Attributes:
+        replaced: groups of settings that are of no use, by the setting that takes their place.
+    """
+
+    replaced: ClassVar[Mapping[str, str]] = dict.fromkeys(("input", "run", "mesh"), "data")
     data: Any = MISSING
     select: Any = MISSING
     online: OnlineSettings = field(default_factory=OnlineSettings)

@@ -28,7 +28,7 @@ from tf_lab.viewer.paint import MODES, painter
 
 log = logging.getLogger(__name__)
 
-REFRESH = 0.25  # seconds after which the mesh comes before the next frame
+REFRESH = 0.15  # seconds after which the mesh comes before the next frame
 
 
 class Listener(Protocol):
