@@ -27,7 +27,7 @@ PAGES = {
 }
 COMMANDS = (
     *("train", "prepare", "reconstruct", "check", "evaluate", "report", "runs", "pretrain"),
-    "benchmark",
+    *("view", "figures", "benchmark"),
 )
 SETTINGS = """# Settings
 

@@ -32,7 +32,10 @@ COMMANDS = sorted(
     }
 )
 # the settings in a page's tables, and the command that takes them
-TAKEN_BY = {"training.md": "train", "reconstruct.md": "reconstruct", "data.md": "reconstruct"}
+TAKEN_BY = {
+    "training.md": "train",
+    **dict.fromkeys(("reconstruct.md", "data.md", "own_video.md"), "reconstruct"),
+}
 SETTINGS = sorted(
     {
         (command, words)

@@ -17,7 +17,7 @@ ROOM = tuple(option for option in TINY if option.startswith("data."))
 def test_of_a_network(checkpoint: Path, tmp_path: Path) -> None:
     """Of a test room; the scenes of its data are there, a benchmark is not."""
     names = ("views", "selected", "comparison", "errors", "room", "runtimes")
-    given = (f"figures=[{','.join(names)}]", f"checkpoint={checkpoint}", "output=drawn")
+    given = (f"figures=[{','.join(names)}]", f"checkpoint={checkpoint}", "frames=3", "output=drawn")
     done = call("figures", *given, *SETTINGS, *ROOM)
     assert (done.status, done.err) == (0, "")
     *_, missing, files = done.out.splitlines()
@@ -26,7 +26,9 @@ def test_of_a_network(checkpoint: Path, tmp_path: Path) -> None:
     for name in names[:-1]:
         with Image.open(tmp_path / "drawn" / f"{name}.png") as picture:
             assert np.asarray(picture.convert("L")).std() > 5
-        assert "room_2000000" in (tmp_path / "drawn" / f"{name}.txt").read_text()
+        caption = (tmp_path / "drawn" / f"{name}.txt").read_text()
+        assert "room_2000000" in caption
+        assert ("the same 3 frames" in caption) == (name in ("comparison", "errors"))
 
 
 def test_of_a_study(tmp_path: Path) -> None:

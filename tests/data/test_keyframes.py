@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tf_lab.data.keyframes import select_keyframes
+from helpers.injections import source_of
+from helpers.layouts import room_frames
+from tf_lab.data.keyframes import Thinned, select_keyframes
 from tf_lab.geometry import pose_distance
 
 
@@ -88,3 +90,16 @@ def test_threshold_is_inclusive() -> None:
 def test_short_sequences() -> None:
     assert select_keyframes(np.zeros((0, 4, 4))) == []
     assert select_keyframes(pose()[None]) == [0]
+
+
+def test_a_thinned_capture_has_the_frames_of_its_numbers() -> None:
+    frames = room_frames()
+    whole = source_of(frames)
+    thin = Thinned(whole, 5, threshold=0)
+    assert thin.frames == [frames[i].name for i in (0, 5, 11, 17, 23)]
+    for number, i in enumerate((0, 5, 11, 17, 23)):
+        np.testing.assert_array_equal(thin.image(number), frames[i].image)
+        np.testing.assert_array_equal(thin.world_T_cam[number], whole.world_T_cam[i])
+        np.testing.assert_array_equal(thin.depth(number), whole.depth(i))
+    keyframes = select_keyframes(whole.world_T_cam, 0.5)
+    assert Thinned(whole, 100, threshold=0.5).kept == keyframes

@@ -69,11 +69,18 @@ def test_what_is_written_is_read(center: tuple[float, float, float], tmp_path: P
     assert abs(ours.astype(int) - theirs).max() < 12  # 8 bits of linear light are few in the dark
 
 
-def test_a_ply_keeps_its_colours(tmp_path: Path) -> None:
-    write_mesh(ball(), tmp_path / "a.ply")
-    np.testing.assert_array_equal(
-        vertex_colors(read_mesh(tmp_path / "a.ply")), vertex_colors(ball())
-    )
+@pytest.mark.parametrize("center", [(1, 2, 3), (5e5, -4e6, 100)])
+def test_a_ply_keeps_places_and_colours(center: tuple[float, float, float], tmp_path: Path) -> None:
+    """For our reader, and for trimesh's."""
+    mesh = ball(center)
+    write_mesh(mesh, tmp_path / "a.ply")
+    for read in (
+        read_mesh(tmp_path / "a.ply"),
+        trimesh.load_mesh(tmp_path / "a.ply", process=False),
+    ):
+        np.testing.assert_allclose(read.vertices, mesh.vertices, rtol=0, atol=1e-5)
+        np.testing.assert_array_equal(read.faces, mesh.faces)
+        np.testing.assert_array_equal(vertex_colors(read), vertex_colors(mesh))
 
 
 def test_no_glb(tmp_path: Path) -> None:

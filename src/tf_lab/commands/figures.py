@@ -16,6 +16,7 @@ from tf_lab.commands.inputs import of_run, open_input, own_groundtruth
 from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import FiguresConfig
 from tf_lab.data.capture import Capture
+from tf_lab.data.keyframes import Thinned
 from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
@@ -113,7 +114,7 @@ class Workbench:
     def __init__(self, config: FiguresConfig) -> None:
         self.asked = config
         self._stack = ExitStack()
-        self._made: dict[tuple[str, str], Reconstruction] = {}
+        self._made: dict[tuple[str, str, int | None], Reconstruction] = {}
         self._truths: dict[str, Path | None] = {}
 
     def __enter__(self) -> Workbench:
@@ -143,17 +144,16 @@ class Workbench:
         return Shown(capture, self._make(name, self.settings), truth)
 
     def compared(self) -> list[Compared]:
-        """Some scenes by stereo and by the network."""
-        return [
-            self._compared(
-                name,
-                {
-                    STEREO: self._make(name, STEREO),
-                    self.label: self._make(name, self.settings),
-                },
-            )
-            for name in [*self.scenes][: self.config.scenes]
-        ]
+        """Some scenes by stereo and by the network, of the same frames."""
+        count, found = self.asked.frames, []
+        for name in [*self.scenes][: self.config.scenes]:
+            made = {
+                STEREO: self._make(name, STEREO, count),
+                self.label: self._make(name, self.settings, count),
+            }
+            few = None if count is None else len(made[self.label].keyframes)
+            found.append(replace(self._compared(name, made), frames=few))
+        return found
 
     def ablations(self) -> Compared:
         """The first scene by the network, with few and many views, of every policy."""
@@ -173,12 +173,17 @@ class Workbench:
         scores = {key: evaluate_scene(mesh, directory)["fscore"] for key, mesh in meshes.items()}
         return Compared(name, meshes, read_mesh(directory / "mesh_gt.ply"), scores)
 
-    def _make(self, name: str, how: ReconstructionSettings | str) -> Reconstruction:
-        key = (name, str(how))
+    def _make(
+        self, name: str, how: ReconstructionSettings | str, frames: int | None = None
+    ) -> Reconstruction:
+        """A scene's mesh by stereo or a network; of so many keyframes, or of all."""
+        key = (name, str(how), frames)
         if key not in self._made:
-            capture, device = self.scenes[name], device_of(self.config.device)
+            capture, distance = self.scenes[name], self.settings.keyframe_distance
+            if frames is not None:
+                capture = Thinned(capture, frames, distance)
             if isinstance(how, str):
-                distance = self.settings.keyframe_distance
+                device = device_of(self.config.device)
                 self._made[key] = plane_sweep(capture, distance, device=device)
             else:
                 self._made[key] = reconstruct(self.network, capture, how)

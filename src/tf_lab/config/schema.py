@@ -255,6 +255,12 @@ class FiguresConfig(CaptureConfig):
     )
     scene: str | None = setting(None, "which test scene; null: the first")
     scenes: int = setting(2, "rows of the comparison: as many test scenes", least=1)
+    frames: int | None = setting(
+        40,
+        "keyframes, evenly chosen, of which network and stereo are compared (stereo takes a second "
+        "each on a CPU); null: all",
+        least=2,
+    )
     points: list[list[float]] | None = setting(
         None, "at which views are selected, [[x,y,z],...] in metres; null: some are chosen"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tf_lab.data.capture import Capture
 from tf_lab.geometry import pose_distance
 
 
@@ -19,3 +20,31 @@ def select_keyframes(world_T_cam: ArrayLike, threshold: float = 0.1) -> list[int
         if not keyframes or pose_distance(poses[keyframes[-1]], pose)[0] >= threshold:
             keyframes.append(index)
     return keyframes
+
+
+class Thinned:
+    """A `Capture` of a few of another's keyframes, evenly chosen.
+
+    Args:
+        capture: the other.
+        frames: how many, if it has so many.
+        threshold: see `select_keyframes`.
+    """
+
+    def __init__(self, capture: Capture, frames: int, threshold: float = 0.1) -> None:
+        keyframes = select_keyframes(capture.world_T_cam, threshold)
+        count = min(frames, len(keyframes))
+        self.kept = [keyframes[i] for i in np.linspace(0, len(keyframes) - 1, count).astype(int)]
+        self._capture = capture
+        self.name, self.size, self.skipped = capture.name, capture.size, capture.skipped
+        self.frames = [capture.frames[i] for i in self.kept]
+        self.K, self.world_T_cam = capture.K[self.kept], capture.world_T_cam[self.kept]
+        self.source_T_world = capture.source_T_world
+
+    def image(self, index: int) -> np.ndarray:
+        """uint8 [H, W, 3] RGB."""
+        return self._capture.image(self.kept[index])
+
+    def depth(self, index: int) -> np.ndarray | None:
+        """float32 [H, W] metres, 0 where unknown; None without depth."""
+        return self._capture.depth(self.kept[index])

@@ -43,7 +43,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def write_mesh(mesh: trimesh.Trimesh, path: Path) -> None:
-    """Write a mesh as binary PLY; one far from the origin in double precision, and without colours.
+    """Write a mesh with its colours as binary PLY; one far from the origin in double precision.
 
     Raises:
         OSError: it cannot be written.
@@ -51,14 +51,21 @@ def write_mesh(mesh: trimesh.Trimesh, path: Path) -> None:
     if not len(mesh.vertices) or np.abs(mesh.vertices).max() <= FAR:
         mesh.export(path, file_type="ply")
         return
-    vertices = np.asarray(mesh.vertices, "<f8").view([(axis, "<f8") for axis in "xyz"])[:, 0]
+    columns = {axis: ("double", "<f8", mesh.vertices[:, i]) for i, axis in enumerate("xyz")}
+    colors = vertex_colors(mesh)
+    if colors is not None:
+        names = ("red", "green", "blue")
+        columns |= {name: ("uchar", "u1", colors[:, i]) for i, name in enumerate(names)}
+    vertices = np.empty(len(mesh.vertices), [(n, kind) for n, (_, kind, _) in columns.items()])
+    for name, (_, _, values) in columns.items():
+        vertices[name] = values
     faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, mesh.faces
     header = [
         "ply",
         "format binary_little_endian 1.0",
         f"element vertex {len(vertices)}",
-        *(f"property double {axis}" for axis in "xyz"),
+        *(f"property {kind} {name}" for name, (kind, _, _) in columns.items()),
         f"element face {len(faces)}",
         "property list uchar int vertex_indices",
         "end_header",

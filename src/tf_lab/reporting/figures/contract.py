@@ -49,12 +49,18 @@ class Compared:
         meshes: by method; some may be empty.
         truth: the ground truth, if there is one.
         fscores: by method, where known.
+        frames: how many every mesh was made of, the same ones; None: of those its method takes.
     """
 
     scene: str
     meshes: Mapping[str, trimesh.Trimesh]
     truth: trimesh.Trimesh | None
     fscores: Mapping[str, float] = field(default_factory=dict)
+    frames: int | None = None
+
+    def made_of(self) -> str:
+        """What a caption says of the frames."""
+        return "" if self.frames is None else f" Each mesh is of the same {self.frames} frames."
 
     def title(self, method: str) -> str:
         """A method with its F-score."""

@@ -56,6 +56,7 @@ def comparison(scenes: Sequence[Compared], size: Size = SIZE) -> Drawn:
     caption = (
         f"Reconstructions of {names}, from above without the ceiling; F: F-score at 5 cm. Below "
         f"each the part in the frame, {INSET} times as large: where the columns differ most."
+        f"{scenes[0].made_of()}"
     )
     return Drawn(figure, caption)
 
@@ -110,7 +111,7 @@ def errors(scene: Compared, size: Size = SIZE) -> Drawn:
         f"Errors in {scene.scene}. Above: each point of the mesh by its distance to the ground "
         "truth (accuracy); below: each point of the ground truth by its distance to the mesh "
         f"(completeness: dark is missing); {100 * ERROR_SCALE:g} cm and more have one colour. "
-        "Medians are over what is seen."
+        f"Medians are over what is seen.{scene.made_of()}"
     )
     return Drawn(figure, caption)
 
