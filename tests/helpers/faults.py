@@ -114,9 +114,10 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
     tiny = [*TINY, "optimizer.steps=20"]
     captures = ("data=captures", f"data.root={inputs / 'captures'}", "data.gravity=[0,0,-1]")
     benchmark = (
-        *("model=tiny", "width=64", "height=48", "frames=3", "timed=2", "eager_timed=1"),
-        *("views=[2,4]", "rooms=[1,2]", "counts=[4,8]", "resolution=0.1", "device=cpu"),
-        *("model.far=2.5", "model.width=16", "model.blocks=1"),
+        *("model=tiny", "width=64", "height=48", "frames=2", "timed=1", "eager_timed=1"),
+        *("views=[2]", "rooms=[1]", "counts=[2]", "resolution=0.1", "device=cpu"),
+        *("model.far=2.5", "model.width=16", "model.blocks=1", "live_frames=2"),
+        *("data.width=80", "data.height=60", "data.test_frames=24", "data.workers=1"),
     )
     weights, metrics = "**/model.safetensors", "**/metrics.json"
     return {
