@@ -167,8 +167,37 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
     }
 
 
+@dataclass(frozen=True)
+class Undisturbed:
+    """What a command does when nobody disturbs it.
+
+    Attributes:
+        expected: its results.
+        usual: seconds that it takes as a fork of this process.
+    """
+
+    expected: dict[str, str]
+    usual: float
+
+
+def watch(case: Case, folder: Path) -> Undisturbed:
+    """Run a command to its end, by a start of Python and as a fork; import here what it imports."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name in ("alone", "warm", "usual"):
+        (folder / name).mkdir(parents=True)
+    expected = results(case, undisturbed(case, folder / "alone"))
+    warm_up(case.command, case.words(folder / "warm"), folder)
+    counts, began = Counts(), time.monotonic()
+    disturb(case, folder / "usual", signal.SIGKILL, False, PATIENCE, counts)
+    usual = time.monotonic() - began
+    compare(case, folder / "usual", expected, counts)
+    assert counts.wrong() == 0, counts.notes
+    return Undisturbed(expected, usual)
+
+
 def stopped(
     case: Case,
+    known: Undisturbed,
     folder: Path,
     number: signal.Signals,
     tries: int,
@@ -180,6 +209,7 @@ def stopped(
 
     Args:
         case: the command.
+        known: of it.
         folder: to work in.
         number: the signal.
         tries: how many.
@@ -190,24 +220,16 @@ def stopped(
     end = time.monotonic() + 60 * minutes
     counts, rng = Counts(), random.Random(seed)
     shutil.rmtree(folder, ignore_errors=True)
-    (folder / "undisturbed").mkdir(parents=True)
-    expected = results(case, undisturbed(case, folder / "undisturbed"))
-    (folder / "warm").mkdir()
-    warm_up(case.command, case.words(folder / "warm"), folder)
-    (folder / "usual").mkdir()
-    began = time.monotonic()
-    disturb(case, folder / "usual", number, group, PATIENCE, counts)
-    usual = time.monotonic() - began
-    compare(case, folder / "usual", expected, counts)
     place, fresh = folder / "0", 0
-    place.mkdir()
+    place.mkdir(parents=True)
     while counts.tries < tries and time.monotonic() < end:
-        if disturb(case, place, number, group, rng.uniform(0.02, 1.0) * usual, counts):
-            compare(case, place, expected, counts)
+        if disturb(case, place, number, group, rng.uniform(0.02, 1.0) * known.usual, counts):
+            compare(case, place, known.expected, counts)
             fresh += 1
             place = folder / str(fresh)
             place.mkdir()
-    compare(case, undisturbed(case, place), expected, counts)
+    disturb(case, place, number, group, PATIENCE, counts)
+    compare(case, place, known.expected, counts)
     return counts
 
 
