@@ -133,7 +133,14 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
         ),
         "sweep of 2 jobs": Case(
             "train",
-            lambda to: ["-m", *tiny, "seed=0,1", "launcher.jobs=2", f"output={to}"],
+            lambda to: [
+                "-m",
+                *TINY,
+                "resolution=0.1",
+                "seed=0,1",
+                "launcher.jobs=2",
+                f"output={to}",
+            ],
             [weights, metrics, "**/*.ply"],
         ),
         "prepare": Case(
