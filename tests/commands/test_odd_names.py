@@ -96,7 +96,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
             "report.open_study",
             "pretrain.open_source",
         ),
-        *("benchmark.run_all", "prepare.open_source"),
+        *("benchmark.run_all", "prepare.open_source", "train.train"),
     ):
         monkeypatch.setattr(f"tf_lab.commands.{name}", fail)
 
@@ -115,6 +115,8 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         (("pretrain", "model=tiny"), "output=file/encoder.safetensors"),
         (("benchmark", "model=tiny"), "output=file"),
         (("prepare",), "shards=file/shards"),
+        (("train", *TINY), "output=file"),
+        (("train", "-m", *TINY), "output=file"),
     ],
 )
 def test_no_place_for_the_result(command: tuple[str, ...], word: str, tmp_path: Path) -> None:

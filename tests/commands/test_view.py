@@ -64,6 +64,24 @@ def test_a_taken_port_is_told_before_anything_is_done() -> None:
     assert "cannot be used" in done.err and len(done.err.splitlines()) == 1
 
 
+def test_a_user_without_a_name_is_told_the_way_in(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from tf_lab.viewer.serve import LocalServer
+
+    def nobody() -> str:
+        raise KeyError("getpwuid(): uid not found: 12345")
+
+    def interrupt(seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("getpass.getuser", nobody)
+    monkeypatch.setattr("time.sleep", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        LocalServer(0).wait()
+    assert f" {socket.gethostname()} first" in capsys.readouterr().out
+
+
 def test_meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Side by side under one camera, the ground truth last; GLB and PLY alike."""
     from tf_lab.meshes.glb import glb_of

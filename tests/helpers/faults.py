@@ -114,9 +114,10 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
     tiny = [*TINY, "optimizer.steps=20"]
     captures = ("data=captures", f"data.root={inputs / 'captures'}", "data.gravity=[0,0,-1]")
     benchmark = (
-        *("model=tiny", "width=64", "height=48", "frames=3", "timed=2", "eager_timed=1"),
-        *("views=[2,4]", "rooms=[1,2]", "counts=[4,8]", "resolution=0.1", "device=cpu"),
-        *("model.far=2.5", "model.width=16", "model.blocks=1"),
+        *("model=tiny", "width=64", "height=48", "frames=2", "timed=1", "eager_timed=1"),
+        *("views=[2]", "rooms=[1]", "counts=[2]", "resolution=0.1", "device=cpu"),
+        *("model.far=2.5", "model.width=16", "model.blocks=1", "live_frames=2"),
+        *("data.width=80", "data.height=60", "data.test_frames=24", "data.workers=1"),
     )
     weights, metrics = "**/model.safetensors", "**/metrics.json"
     return {
@@ -132,7 +133,14 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
         ),
         "sweep of 2 jobs": Case(
             "train",
-            lambda to: ["-m", *tiny, "seed=0,1", "launcher.jobs=2", f"output={to}"],
+            lambda to: [
+                "-m",
+                *TINY,
+                "resolution=0.1",
+                "seed=0,1",
+                "launcher.jobs=2",
+                f"output={to}",
+            ],
             [weights, metrics, "**/*.ply"],
         ),
         "prepare": Case(
@@ -166,8 +174,37 @@ def prepare_inputs(folder: Path) -> dict[str, Case]:
     }
 
 
+@dataclass(frozen=True)
+class Undisturbed:
+    """What a command does when nobody disturbs it.
+
+    Attributes:
+        expected: its results.
+        usual: seconds that it takes as a fork of this process.
+    """
+
+    expected: dict[str, str]
+    usual: float
+
+
+def watch(case: Case, folder: Path) -> Undisturbed:
+    """Run a command to its end, by a start of Python and as a fork; import here what it imports."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name in ("alone", "warm", "usual"):
+        (folder / name).mkdir(parents=True)
+    expected = results(case, undisturbed(case, folder / "alone"))
+    warm_up(case.command, case.words(folder / "warm"), folder)
+    counts, began = Counts(), time.monotonic()
+    disturb(case, folder / "usual", signal.SIGKILL, False, PATIENCE, counts)
+    usual = time.monotonic() - began
+    compare(case, folder / "usual", expected, counts)
+    assert counts.wrong() == 0, counts.notes
+    return Undisturbed(expected, usual)
+
+
 def stopped(
     case: Case,
+    known: Undisturbed,
     folder: Path,
     number: signal.Signals,
     tries: int,
@@ -179,6 +216,7 @@ def stopped(
 
     Args:
         case: the command.
+        known: of it.
         folder: to work in.
         number: the signal.
         tries: how many.
@@ -189,24 +227,16 @@ def stopped(
     end = time.monotonic() + 60 * minutes
     counts, rng = Counts(), random.Random(seed)
     shutil.rmtree(folder, ignore_errors=True)
-    (folder / "undisturbed").mkdir(parents=True)
-    expected = results(case, undisturbed(case, folder / "undisturbed"))
-    (folder / "warm").mkdir()
-    warm_up(case.command, case.words(folder / "warm"), folder)
-    (folder / "usual").mkdir()
-    began = time.monotonic()
-    disturb(case, folder / "usual", number, group, PATIENCE, counts)
-    usual = time.monotonic() - began
-    compare(case, folder / "usual", expected, counts)
     place, fresh = folder / "0", 0
-    place.mkdir()
+    place.mkdir(parents=True)
     while counts.tries < tries and time.monotonic() < end:
-        if disturb(case, place, number, group, rng.uniform(0.02, 1.0) * usual, counts):
-            compare(case, place, expected, counts)
+        if disturb(case, place, number, group, rng.uniform(0.02, 1.0) * known.usual, counts):
+            compare(case, place, known.expected, counts)
             fresh += 1
             place = folder / str(fresh)
             place.mkdir()
-    compare(case, undisturbed(case, place), expected, counts)
+    disturb(case, place, number, group, PATIENCE, counts)
+    compare(case, place, known.expected, counts)
     return counts
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.faults import Case, full_disk, stopped
+from helpers.faults import Case, full_disk, stopped, watch
 
 TRIES = int(os.environ.get("TF_LAB_TRIES", "2"))
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
@@ -28,7 +28,8 @@ SIGNALS = [
 def test_at_a_random_moment(
     name: str, number: signal.Signals, group: bool, cases: dict[str, Case], tmp_path: Path
 ) -> None:
-    counts = stopped(cases[name], tmp_path / "work", number, TRIES, group)
+    known = watch(cases[name], tmp_path / "undisturbed")
+    counts = stopped(cases[name], known, tmp_path / "work", number, TRIES, group)
     assert counts.wrong() == 0, counts.notes
 
 

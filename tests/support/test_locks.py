@@ -4,12 +4,15 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from queue import Queue
 
 import pytest
 
+from tf_lab.errors import TFLabError
 from tf_lab.support import locks
 from tf_lab.support.locks import directory_lock, lock_holder
 
@@ -61,3 +64,27 @@ def test_what_another_host_left_locks_nothing(tmp_path: Path) -> None:
     assert lock_holder(tmp_path) is None
     with directory_lock(tmp_path, "training"):
         assert lock_holder(tmp_path) == f"process {os.getpid()} on {socket.gethostname()}"
+
+
+@pytest.fixture
+def read_only() -> Iterator[Path]:
+    """A folder that this process cannot write to: root becomes another user for that."""
+    with tempfile.TemporaryDirectory() as name:  # not pytest's, which only its owner may enter
+        folder, owner = Path(name), os.geteuid()
+        folder.chmod(0o555)
+        os.seteuid(owner or 12345)
+        try:
+            yield folder
+        finally:
+            os.seteuid(owner)
+            folder.chmod(0o755)
+
+
+@pytest.mark.parametrize("name", [".", "runs/new"])
+def test_a_folder_that_cannot_be_written_to_is_told(read_only: Path, name: str) -> None:
+    place = read_only / name
+    with (
+        pytest.raises(TFLabError, match=rf"^{place}: cannot be written \(Permission denied\)"),
+        directory_lock(place, "training"),
+    ):
+        pass

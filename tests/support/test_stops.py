@@ -17,8 +17,9 @@ STOPPABLE = """
 import os, signal, sys, threading, time
 from tf_lab.support.stops import stoppable, Stopped
 def forked():
-    if os.fork() == 0:
-        signal.pause()
+    if child := os.fork():
+        return child
+    signal.pause()
 def endless():
     print("begun", file=alive, flush=True)
     time.sleep(99)
@@ -49,6 +50,14 @@ def becomes_another():
         endless()
     except Stopped:
         raise ValueError
+def hears_more():  # that a loader ended
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    try:
+        endless()
+    except Stopped:
+        os.kill(child, signal.SIGKILL)
+        time.sleep(0.2)
+        raise
 def finalises():  # where Python tells of exceptions, and goes on
     class Last:
         def __del__(self):
@@ -57,7 +66,7 @@ def finalises():  # where Python tells of exceptions, and goes on
     time.sleep(99)
 with stoppable("all is kept"):
     alive = open(sys.argv[1], "w")
-    forked()
+    child = forked()
     globals()[sys.argv[2]]()
 """
 
@@ -73,6 +82,7 @@ with stoppable("all is kept"):
         (signal.SIGTERM, "imports", True),
         (signal.SIGINT, "joins", True),
         (signal.SIGTERM, "finalises", True),
+        (signal.SIGTERM, "hears_more", True),
     ],
 )
 def test_one_line_and_the_shells_status(
@@ -119,6 +129,10 @@ def test_only_a_process_that_was_started_as_a_child_ends_with_its_parent(
     monkeypatch.delenv(PARENT, raising=False)
     end_with_parent()
     assert watched == []
+    with monkeypatch.context() as launched:
+        launched.setenv("TORCHELASTIC_RUN_ID", "none")
+        end_with_parent()
+    assert watched.pop() == os.getppid()
     with as_parent():
         assert os.environ[PARENT] == str(os.getpid())
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())

@@ -72,6 +72,9 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
         sys.exit(2)
     except BrokenPipeError:  # whoever reads has seen enough
         os._exit(1)
+    except OSError as error:  # of a sweep's folder, which Hydra makes
+        _tell(f"{error.filename}: {error.strerror}; give another place by output=")
+        sys.exit(2)
 
 
 def _command_line(schema: type) -> argparse.Namespace:
@@ -122,6 +125,7 @@ def _quieten() -> None:
         ".*isinstance.treespec, LeafSpec.*",
         ".*Checkpoint directory .* exists and is not empty.*",
         ".*does not have many workers.*",
+        ".*Our suggested max number of worker.*",
         ".*in eval mode at the start of training.*",
         ".*Experiment logs directory .* exists and is not empty.*",
         ".*The dirpath has changed from .*",  # a training goes on from another's state

@@ -21,7 +21,7 @@ from tf_lab.experiments.launcher import SweepJobs
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
-from tf_lab.support.files import write_json
+from tf_lab.support.files import check_folder, write_json
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
@@ -52,6 +52,7 @@ def run(config: TrainConfig) -> None:
     if read_metrics(run) is not None:
         print_reuse("evaluation", run)
     else:
+        check_folder(Path(config.output))
         tested = open_source(config.data, config.content).has("test")
         if not tested and not is_helper():
             print("no score will be made: there is no test scene (data.test, data.test_size)")

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from tf_lab.errors import TFLabError
+
 
 @contextlib.contextmanager
 def directory_lock(directory: Path, activity: str) -> Iterator[None]:
@@ -20,14 +22,22 @@ def directory_lock(directory: Path, activity: str) -> Iterator[None]:
     Args:
         directory: made if it is missing.
         activity: of whoever holds it, such as "training".
+
+    Raises:
+        TFLabError: it cannot be made or written to.
     """
-    directory.mkdir(parents=True, exist_ok=True)
     lock = FileLock(directory / ".lock")
     try:
+        directory.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0)
     except Timeout:
         print(f"waiting for {lock_holder(directory)}: {activity} {directory}", flush=True)
         lock.acquire()
+    except OSError as error:
+        raise TFLabError(
+            f"{directory}: cannot be written ({error.strerror}); make it writable, or choose "
+            "another place by the setting that names it"
+        ) from error
     note = directory / ".holder"
     try:
         with contextlib.suppress(OSError):  # a full disk

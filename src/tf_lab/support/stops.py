@@ -21,6 +21,7 @@ PARENT = "TF_LAB_PARENT"  # the process that a child is to end with
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 GRACE = 2.0  # seconds
 IMPORTS = "<frozen importlib"  # of the names of the interpreter's files
+TORCHRUN = "TORCHELASTIC_RUN_ID"  # in the environment of what torchrun starts
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 
 _process = 0  # the process whose stop is a line and a status; its forks end with it
@@ -117,11 +118,11 @@ class _Stop:
         byte = b"-"
         while byte and byte[0] not in SIGNALS:
             byte = os.read(end, 1)
-        os.close(end)
-        if byte:
+        if byte:  # the pipe stays open: ends of children are written to it, too
             time.sleep(GRACE)
             self.tell(byte[0])
             os._exit(128 + byte[0])
+        os.close(end)
 
 
 def _is_fragile(frame: FrameType | None) -> bool:
@@ -175,8 +176,10 @@ def end_with(parent: int) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when the one ends that started it by `as_parent`, if one did."""
+    """End this process when the one ends that started it, by `as_parent` or as torchrun does."""
     parent = os.environ.pop(PARENT, None)
+    if parent is None and TORCHRUN in os.environ:  # which would leave it behind, if killed
+        parent = str(os.getppid())
     if parent is not None:
         end_with(int(parent))
 

@@ -58,11 +58,10 @@ class LocalServer(viser.ViserServer):
 
     def wait(self) -> None:
         """Say where the page is, until somebody interrupts."""
-        port, host = self.get_port(), socket.gethostname()
+        port = self.get_port()
         print(f"{self.address}: open it in a browser; Ctrl-C ends it")
         print(
-            "from another machine: there, "
-            f"ssh -N -L {port}:{HOST}:{port} {getpass.getuser()}@{host} first",
+            f"from another machine: there, ssh -N -L {port}:{HOST}:{port} {_login()} first",
             flush=True,
         )
         try:
@@ -70,3 +69,10 @@ class LocalServer(viser.ViserServer):
                 time.sleep(3600)
         finally:
             self.stop()
+
+
+def _login() -> str:
+    """Of ssh: user and host; the host alone where the system has no name for the user."""
+    with contextlib.suppress(KeyError, OSError):  # before Python 3.13, and since
+        return f"{getpass.getuser()}@{socket.gethostname()}"
+    return socket.gethostname()
