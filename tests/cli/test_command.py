@@ -24,12 +24,17 @@ def test_what_cannot_be_printed_ends_nothing(
     )
 
 
-def test_threads_do_not_wait_in_circles(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({}, "1000"), ({"GOMP_SPINCOUNT": "5"}, "5"), ({"OMP_WAIT_POLICY": "ACTIVE"}, None)],
+)
+def test_threads_do_not_wait_in_circles(
+    given: dict[str, str], expected: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Unless somebody wants that."""
-    for given, expected in ((None, "PASSIVE"), ("ACTIVE", "ACTIVE")):
-        monkeypatch.setattr(os, "environ", {} if given is None else {"OMP_WAIT_POLICY": given})
-        ran: list[Any] = []
-        monkeypatch.setattr("tf_lab.cli.run.run_command", lambda *given, ran=ran: ran.extend(given))
-        command("train", "About.", "nowhere:run")()
-        assert ran[0] == "train"
-        assert os.environ["OMP_WAIT_POLICY"] == expected
+    monkeypatch.setattr(os, "environ", {**given})
+    ran: list[Any] = []
+    monkeypatch.setattr("tf_lab.cli.run.run_command", lambda *values: ran.extend(values))
+    command("train", "About.", "nowhere:run")()
+    assert ran[0] == "train"
+    assert os.environ.get("GOMP_SPINCOUNT") == expected

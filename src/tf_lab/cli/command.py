@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 
 from tf_lab.support.stops import stoppable
 
-# Threads of OpenMP wait for each other by turning in circles, unless told otherwise before torch is
-# loaded: beside other work on the same cores (a browser that shows the page) that costs tenfold.
-WAITING = ("OMP_WAIT_POLICY", "PASSIVE")
+# Threads of OpenMP (torch's is GNU's) wait for each other by turning in circles. After so many they
+# sleep, unless told otherwise before torch is loaded: on cores that have other work, such as the
+# browser that shows the page, waiting longer takes from what is waited for.
+WAITING = ("GOMP_SPINCOUNT", "1000")
 AGAIN = "what it wrote is whole, the same command starts again"
 
 
@@ -41,7 +42,8 @@ def command(
 
     def main() -> None:
         print_anything()
-        os.environ.setdefault(*WAITING)
+        if "OMP_WAIT_POLICY" not in os.environ:
+            os.environ.setdefault(*WAITING)
         with stoppable(keeps):
             from tf_lab.cli.run import run_command  # takes a second, in which signals are heard
 
