@@ -11,7 +11,7 @@ from helpers.resources import Use
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.truth import Truth
-from tf_lab.geometry import FINE
+from tf_lab.geometry import CHUNK, FINE
 from tf_lab.meshes.raycast import CLAY
 from tf_lab.meshes.weld import weld
 from tf_lab.support.colors import error_colors, frame_colors
@@ -59,6 +59,22 @@ def test_only_what_changed_is_told(session: Session) -> None:
     session.growth.stale.update(told.pieces.keys())  # as if a frame had come that changes nothing
     finish(session)
     assert told.told == []
+
+
+def test_chunks_whose_voxels_changed_wait(session: Session) -> None:
+    """By the places of the voxels: coarse blocks (0.9 m) lie across the chunks' borders."""
+    for frame in FRAMES[:3]:
+        session.growth.add(session.capture, frame)
+        r = session.growth.reconstructor
+        changed = r.coarse.points(r.coarse.store.dirty.nonzero()[:, 0]).numpy()
+        held = {tuple(map(int, chunk)) for chunk in np.floor(changed / CHUNK)}
+        touched = {
+            tuple(map(int, chunk))
+            for side in np.stack(np.meshgrid(*[[-0.9, 0, 0.9]] * 3), -1).reshape(-1, 3)
+            for chunk in np.floor((changed + side) / CHUNK)
+        }
+        assert held <= set(session.growth.stale) <= touched
+        session.growth.settle()
 
 
 def click(session: Session, scene: Scene) -> tuple[np.ndarray, Any]:

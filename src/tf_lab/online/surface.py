@@ -42,10 +42,7 @@ class Surface:
         coords = self.fine.blocks.coords[blocks]
         # A chunk reads one voxel beyond its upper faces.
         reads = torch.stack([coords, coords - 1])
-        chunks = torch.div(reads, per_chunk, rounding_mode="floor")  # [2, N, 3]
-        for choice in product((0, 1), repeat=3):
-            mixed = torch.stack([chunks[c, :, axis] for axis, c in enumerate(choice)], 1)
-            self.dirty.update(map(tuple, torch.unique(mixed, dim=0).tolist()))
+        self.dirty |= spanned(torch.div(reads, per_chunk, rounding_mode="floor"))
 
     def update(self, box: Box | None) -> int:
         """Mesh the dirty chunks that a box touches again; how many these were."""
@@ -85,6 +82,18 @@ class Surface:
         mask = mask[:most, :most, :most]
         x, y, z = (c * EDGE * n - 0.5 for c in chunk)
         return mesh_of(field, mask, VoxelGrid((x, y, z), 1.0, (most, most, most)))
+
+
+def spanned(corners: Tensor) -> set[Chunk]:
+    """The chunks that boxes touch, two along an axis at most, by those of their corners [2, N, 3].
+
+    The corners are lower and upper, in any order.
+    """
+    found: set[Chunk] = set()
+    for choice in product((0, 1), repeat=3):
+        mixed = torch.stack([corners[c, :, axis] for axis, c in enumerate(choice)], 1)
+        found.update(map(tuple, torch.unique(mixed, dim=0).tolist()))
+    return found
 
 
 def whole_chunks(box: Box | None) -> Box | None:

@@ -15,7 +15,7 @@ from tf_lab.network.network import Network
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.online.surface import Chunk
+from tf_lab.online.surface import Chunk, spanned
 
 Pieces = dict[Chunk, trimesh.Trimesh | None]
 """Meshes (metres) by chunk; None where there is no surface any more."""
@@ -109,14 +109,14 @@ class Growth:
         return fresh
 
 
-def _changed(level: Level) -> list[Chunk]:
-    """Chunks with voxels whose views changed since they were fused."""
+def _changed(level: Level) -> set[Chunk]:
+    """Chunks with a part of blocks with voxels whose views changed since they were fused."""
     blocks, store = level.blocks, level.store
     changed = (store.dirty & (store.seen > 0)).view(-1, blocks.volume).any(1)
     coords = blocks.coords[changed & level.flags["open"]]
-    edge = round(CHUNK / (level.voxel * blocks.edge))
-    chunks = torch.unique(torch.div(coords, edge, rounding_mode="floor"), dim=0)
-    return [(x, y, z) for x, y, z in chunks.tolist()]
+    edge = level.voxel * blocks.edge
+    corners = torch.stack([coords * edge + SPREAD, (coords + 1) * edge - SPREAD])
+    return spanned((corners / CHUNK).floor().long())
 
 
 def _same(old: Part | None, new: Part) -> bool:
