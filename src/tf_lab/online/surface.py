@@ -16,7 +16,7 @@ from torch import Tensor
 from tf_lab.geometry import CHUNK, FINE, VoxelGrid
 from tf_lab.meshes.isosurface import mesh_of
 from tf_lab.meshes.weld import Part, weld
-from tf_lab.online.lattice.blocks import offsets
+from tf_lab.online.lattice.blocks import offsets, pack, unpack
 from tf_lab.online.lattice.level import BLOCK, Box, Level
 
 EDGE = round(CHUNK / FINE)  # fine voxels along a chunk's edge
@@ -89,11 +89,15 @@ def spanned(corners: Tensor) -> set[Chunk]:
 
     The corners are lower and upper, in any order.
     """
-    found: set[Chunk] = set()
-    for choice in product((0, 1), repeat=3):
-        mixed = torch.stack([corners[c, :, axis] for axis, c in enumerate(choice)], 1)
-        found.update(map(tuple, torch.unique(mixed, dim=0).tolist()))
-    return found
+    lower, upper = (pack(corner) for corner in corners)
+    pairs = torch.unique(torch.stack([lower, upper], 1)[lower != upper], dim=0)
+    ends = unpack(pairs).unbind(1)
+    mixed = [
+        torch.stack([ends[c][:, axis] for axis, c in enumerate(choice)], 1)
+        for choice in product((0, 1), repeat=3)
+    ]
+    keys = torch.unique(torch.cat([pack(torch.cat(mixed)), lower]))
+    return {(x, y, z) for x, y, z in unpack(keys).tolist()}
 
 
 def whole_chunks(box: Box | None) -> Box | None:
