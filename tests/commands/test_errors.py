@@ -1,6 +1,7 @@
 """Bad input: one line that names the file and the cure, exit status 2, no traceback."""
 
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -349,3 +350,12 @@ def test_debugging_raises_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_unknown_override_by_a_process(tmp_path: Path) -> None:
     told(start("train", "unknown=1", cwd=tmp_path), "unknown: no such setting")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_decimating_without_its_package_is_refused_before_the_work(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    result = call("reconstruct", "decimate=0.5", f"data.root={tmp_path / 'cache'}")
+    told(result, "decimate= needs fast-simplification")
+    assert not (tmp_path / "cache").exists()  # no room was rendered

@@ -45,7 +45,7 @@ def test_prepare_beside_a_training_on_the_same(cases: dict[str, Case], tmp_path:
 SURROUNDINGS = {
     "no HOME": {"HOME": None},
     "ASCII locale": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    "no cache folder": {"TF_LAB_CACHE": None, "XDG_CACHE_HOME": None, "HOME": "/nowhere"},
+    "no cache folder": {"TF_LAB_CACHE": None, "XDG_CACHE_HOME": None, "HOME": "nowhere"},
 }
 
 
@@ -66,7 +66,10 @@ def run(case: Case, to: Path, **variables: str | None) -> subprocess.CompletedPr
 def test_surroundings(name: str, surroundings: str, cases: dict[str, Case], tmp_path: Path) -> None:
     to, alone = tmp_path / "Küche, 2", tmp_path / "alone"
     to.mkdir(), alone.mkdir()
-    done = run(cases[name], to, **SURROUNDINGS[surroundings])
+    variables = dict(SURROUNDINGS[surroundings])
+    if variables.get("HOME"):
+        variables["HOME"] = str(tmp_path / "nowhere")
+    done = run(cases[name], to, **variables)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert results(cases[name], to) == results(cases[name], undisturbed(cases[name], alone))

@@ -21,7 +21,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import format_table
-from tf_lab.meshes.decimate import decimated
+from tf_lab.meshes.decimate import check_share, decimated
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.meshes.glb import glb_of
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
@@ -50,6 +50,7 @@ def run(config: ReconstructConfig) -> None:
     if output.suffix not in WRITERS:
         raise TFLabError(f"output={output}: the mesh is written as {' or '.join(WRITERS)}")
     check_file(output)
+    check_share(config.decimate)
     capture = open_input(config, info)
     if config.input is None and config.output is None:
         output = output.with_stem(file_name(capture.name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from importlib.util import find_spec
 
 import numpy as np
 import trimesh
@@ -10,6 +11,16 @@ from scipy.spatial import cKDTree
 
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.glb import vertex_colors
+
+
+def check_share(share: float) -> None:
+    """That meshes can be decimated to a share of their faces.
+
+    Raises:
+        TFLabError: fast-simplification is not installed.
+    """
+    if share < 1 and find_spec("fast_simplification") is None:
+        raise TFLabError("decimate= needs fast-simplification: pip install it")
 
 
 def at_most(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
@@ -29,10 +40,8 @@ def decimated(mesh: trimesh.Trimesh, share: float) -> trimesh.Trimesh:
     """
     if share >= 1 or not len(mesh.faces):
         return mesh
-    try:
-        smaller = mesh.simplify_quadric_decimation(percent=1 - share)
-    except ImportError as error:
-        raise TFLabError("decimate= needs fast-simplification: pip install it") from error
+    check_share(share)
+    smaller = mesh.simplify_quadric_decimation(percent=1 - share)
     colors = vertex_colors(mesh)
     if colors is None:
         return trimesh.Trimesh(smaller.vertices, smaller.faces, process=False)
