@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from helpers.made_up_runs import ROWS, write_study
@@ -43,3 +44,16 @@ def test_nothing_to_draw() -> None:
     told(call("figures", "figures=[fscore_k]"), "no fscore_k: outputs/runs: there is no such")
     told(call("figures", "figures=[nope]"), "figures=[nope]: there is no such figure; there are")
     told(call("figures", "input=a", "run=b"), "give one of input= and run=")
+
+
+@pytest.mark.parametrize("points", ["[[1,2]]", "[a]", "[[1,2,nan]]", "[]", "7"])
+def test_points_that_are_none(points: str) -> None:
+    result = call("figures", "figures=[selected]", f"points={points}", "input=/nowhere")
+    assert result.status == 2
+    assert result.err.startswith("error: points=") and "give [[x,y,z],...], metres" in result.err
+
+
+def test_points_may_be_whole_numbers() -> None:
+    """What is wrong here is the input, which is looked at after the points."""
+    result = call("figures", "figures=[selected]", "points=[[1,0.5,1]]", "input=/nowhere")
+    assert "/nowhere: no such folder" in result.err

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache, cached_property, partial
@@ -255,9 +255,13 @@ class Workbench:
         return all_rows(self.study, self.asked.scene)
 
 
-def _points(given: Sequence[Sequence[float]] | None) -> np.ndarray | None:
+def _points(given: Any) -> np.ndarray | None:
     if given is None:
         return None
-    if not given or any(len(point) != 3 for point in given):
+    try:
+        points = np.array(given, float)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise TFLabError(f"points={given}: give [[x,y,z],...], metres")
-    return np.array(given, float)
+    return points

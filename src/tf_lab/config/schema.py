@@ -261,7 +261,7 @@ class FiguresConfig(CaptureConfig):
         "each on a CPU); null: all",
         least=2,
     )
-    points: list[list[float]] | None = setting(
+    points: Any = setting(  # OmegaConf takes no whole numbers in lists of lists of floats
         None, "at which views are selected, [[x,y,z],...] in metres; null: some are chosen"
     )
     runs: Any = setting(
