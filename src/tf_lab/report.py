@@ -4,7 +4,7 @@ python -m tf_lab.report [runs=DIR] [output=DIR]
 
 Examples:
   python -m tf_lab.report
-  python -m tf_lab.report runs=results/reference/runs output=/tmp/report pages=false
+  python -m tf_lab.report runs=results/reference/runs output=reference pages=false
 """
 
 from tf_lab.cli.command import command
