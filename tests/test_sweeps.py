@@ -7,7 +7,8 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tf_lab.config.compose import compose_config, conf_dir
-from tf_lab.config.schema import TrainConfig, register
+from tf_lab.config.registration import register
+from tf_lab.config.schema import TrainConfig
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 
 SWEEPS = conf_dir() / "sweep"

@@ -21,7 +21,8 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from tf_lab.cli import overrides, text_settings
 from tf_lab.cli.help import help_text
 from tf_lab.config.compose import conf_dir
-from tf_lab.config.schema import COMMANDS, register
+from tf_lab.config.registration import register
+from tf_lab.config.schema import COMMANDS
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.launcher import check_launcher, in_sweep, run_job

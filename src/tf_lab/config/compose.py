@@ -8,7 +8,8 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from tf_lab.config.schema import COMMANDS, register
+from tf_lab.config.registration import register
+from tf_lab.config.schema import COMMANDS
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from tf_lab.config.schema import PARTS, node_of
+from tf_lab.config.registration import node_of
+from tf_lab.config.schema import PARTS
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS
 from tf_lab.support.settings import check_ranges
