@@ -29,9 +29,9 @@ def test_contract(settings: Any, check: Callable[[Any], None]) -> None:
 class Whim:
     """Keeps none of it."""
 
-    chance: int
+    some: int
     seed = 3
-    needs_logits = needs_centers = False
+    needs_logits = needs_centers = needs_chance = False
 
     def drop(self, candidates: Candidates) -> Tensor:
         candidates.frames[:] = 0
@@ -55,6 +55,7 @@ class FarthestSelection:
     seed: int = 0
     needs_logits: ClassVar[bool] = False
     needs_centers: ClassVar[bool] = True
+    needs_chance: ClassVar[bool] = False
 
     def drop(self, candidates: Candidates) -> Tensor:
         assert candidates.centers is not None

@@ -40,7 +40,9 @@ def reservoir(keys: Tensor, seed: int, frames: int = N) -> Tensor:
     rows = torch.arange(len(keys))
     for frame in range(frames):
         seen = torch.full((len(keys),), frame)
-        slot = slots(policy, Candidates(seen, keys, torch.zeros(len(keys), K + 1).long()))
+        shown = torch.zeros(len(keys), K + 1).long()
+        chance = policy.chance(keys, seen[:, None], shown)
+        slot = slots(policy, Candidates(seen, shown, chance=chance))
         kept = slot >= 0
         held[rows[kept], slot[kept]] = frame
     return held.sort(dim=1).values
@@ -48,9 +50,9 @@ def reservoir(keys: Tensor, seed: int, frames: int = N) -> Tensor:
 
 def test_attention_drops_the_lowest_weight() -> None:
     weights = torch.tensor([[0.4, 0.1, 0.3, 0.2, 0.0], [0.1, 0.2, 0.3, 0.4, 9.0]])
-    keys, frames = torch.zeros(2, 3, dtype=torch.int64), torch.arange(5).expand(2, 5)
+    frames = torch.arange(5).expand(2, 5)
     for seen, expected in (([4, 17], [1, 0]), ([0, 3], [0, 3])):  # full slots, and some empty
-        candidates = Candidates(torch.tensor(seen), keys, frames, weights[..., None].log())
+        candidates = Candidates(torch.tensor(seen), frames, weights[..., None].log())
         assert slots(AttentionSelection(), candidates).tolist() == expected
 
 
@@ -172,12 +174,13 @@ def held_after(policy: DiverseSelection, order: list[int], views: int, logits: T
     for count, frame in enumerate(order):
         held[:, views] = frame
         index = held.unsqueeze(-1)
+        seen = torch.full((len(logits),), count)
         candidates = Candidates(
-            torch.full((len(logits),), count),
-            keys,
+            seen,
             held,
             torch.take_along_dim(logits.unsqueeze(-1), index, 1),
             torch.take_along_dim(centers, index, 1),
+            policy.chance(keys, seen[:, None], held),
         )
         slot = slots(policy, candidates)
         held[slot >= 0, slot[slot >= 0]] = frame
@@ -210,10 +213,10 @@ def test_of_two_directions_alike_one_is_dropped() -> None:
     policy = DiverseSelection(0, attention=0, spread=1e3)
     candidates = Candidates(
         torch.tensor([7, 7]),
-        lattice(2),
         torch.arange(4).expand(2, 4),
         torch.zeros(2, 4, 1),
         centers * torch.tensor([[[1.0]], [[3.0]]]),  # nearer or farther: the same directions
+        torch.zeros(2, 4),
     )
     first, second = policy.drop(candidates).tolist()
     assert first in (1, 2)
@@ -225,7 +228,11 @@ def test_the_closer_of_close_directions_is_dropped() -> None:
     angles = torch.tensor([[0.0, 0.1, 0.6]])
     centers = torch.stack([angles.cos(), angles.sin(), torch.zeros_like(angles)], -1)
     candidates = Candidates(
-        torch.tensor([7]), lattice(1), torch.arange(3)[None], torch.zeros(1, 3, 1), centers
+        torch.tensor([7]),
+        torch.arange(3)[None],
+        torch.zeros(1, 3, 1),
+        centers,
+        torch.zeros(1, 3),
     )
     assert DiverseSelection(0, attention=0, spread=1e3).drop(candidates).item() in (0, 1)
 

@@ -135,7 +135,7 @@ def test_huge_logits_stay_finite() -> None:
 class Refuses:
     """Keeps no new view, once all slots are full."""
 
-    needs_logits, needs_centers = False, True
+    needs_logits, needs_centers, needs_chance = False, True, False
 
     def drop(self, candidates: Candidates) -> Tensor:
         self.centers = candidates.centers

@@ -47,18 +47,21 @@ class BatchSelection:
         # slot k, which nobody reads, takes what is not kept
         slot = torch.where(valid & (seen < k), seen, k)
         held = torch.zeros(P, k + 1, dtype=torch.int64, device=valid.device)
-        held.scatter_(1, slot, order.expand(P, V))
+        frames = order.expand(P, V)
+        held.scatter_(1, slot, frames)
+        # all of it at once: hashing a view after the other takes a GPU ten times as many kernels
+        chance = policy.chance(keys, seen, frames) if policy.needs_chance else None
+        full = valid & (seen >= k)
         for view in range(k, V):
             held[:, k] = view
             candidates = Candidates(
                 seen[:, view],
-                keys,
                 held,
                 None if logits is None else _taken(logits, held),
                 _taken(centers, held) if policy.needs_centers else None,
+                None if chance is None else chance.gather(1, held),
             )
-            full = valid[:, view] & (seen[:, view] >= k)
-            drop = torch.where(full, policy.drop(candidates), k)
+            drop = torch.where(full[:, view], policy.drop(candidates), k)
             held.scatter_(1, drop[:, None], held[:, k:].clone())
         return held[:, :k], order[:k] < valid.sum(1, keepdim=True)
 

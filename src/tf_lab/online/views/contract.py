@@ -70,10 +70,12 @@ def it_drops_one_of_the_candidates(settings: Any) -> None:
     def drop(rows: Tensor) -> Tensor:
         shown = Candidates(
             seen[rows],
-            keys_of(VOXELS)[rows],
             frames[rows],
             logits[rows, :5] if policy.needs_logits else None,
             centers[rows, :5] if policy.needs_centers else None,
+            policy.chance(keys_of(VOXELS)[rows], seen[rows, None], frames[rows])
+            if policy.needs_chance
+            else None,
         )
         parts = [part for part in shown if part is not None]
         before = [part.clone() for part in parts]

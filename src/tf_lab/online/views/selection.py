@@ -21,17 +21,17 @@ class Candidates(NamedTuple):
 
     Attributes:
         seen: int64 [M], how many frames saw the voxel before this one.
-        keys: int64 [M, 3], the voxels' lattice coordinates, the same in every call.
         frames: int64 [M, K + 1], numbers of the frames.
         logits: [M, K + 1, H], first-block attention logits; None if the policy needs none.
         centers: [M, K + 1, 3], the cameras' centres relative to the voxel, metres; None likewise.
+        chance: [M, K + 1] or, of the new one alone, [M, 1]: see `SelectionPolicy`; None likewise.
     """
 
     seen: Tensor
-    keys: Tensor
     frames: Tensor
     logits: Tensor | None = None
     centers: Tensor | None = None
+    chance: Tensor | None = None
 
 
 class SelectionPolicy(Protocol):
@@ -39,7 +39,7 @@ class SelectionPolicy(Protocol):
 
     Attributes:
         seed: of what is random.
-        needs_logits, needs_centers: whether these of the candidates are read.
+        needs_logits, needs_centers, needs_chance: whether these of the candidates are read.
     """
 
     @property
@@ -50,6 +50,22 @@ class SelectionPolicy(Protocol):
 
     @property
     def needs_centers(self) -> bool: ...  # noqa: D102
+
+    @property
+    def needs_chance(self) -> bool: ...  # noqa: D102
+
+    def chance(self, keys: Tensor, seen: Tensor, frames: Tensor) -> Tensor:
+        """What is random of measurements, [M, N] or [M, n] if it is by ``seen`` alone.
+
+        Not asked for unless needed. It is of the seed and these numbers alone, so that neither the
+        order of the voxels matters nor whether frames come one by one.
+
+        Args:
+            keys: int64 [M, 3], the voxels' lattice coordinates.
+            seen: int64 [M, n], n = N or 1: how many frames saw the voxel before.
+            frames: int64 [M, N], numbers of the frames.
+        """
+        ...
 
     def drop(self, candidates: Candidates) -> Tensor:
         """Which of its K + 1 measurements each voxel gives up: int64 [M]; K is the new one.
@@ -81,6 +97,11 @@ class AttentionSelection:
     seed: int = 0
     needs_logits: ClassVar[bool] = True
     needs_centers: ClassVar[bool] = False
+    needs_chance: ClassVar[bool] = False
+
+    def chance(self, keys: Tensor, seen: Tensor, frames: Tensor) -> Tensor:
+        """Nothing is."""
+        raise NotImplementedError
 
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`. Of equals the first goes."""
@@ -99,12 +120,16 @@ class RandomSelection:
     seed: int = 0
     needs_logits: ClassVar[bool] = False
     needs_centers: ClassVar[bool] = False
+    needs_chance: ClassVar[bool] = True
+
+    def chance(self, keys: Tensor, seen: Tensor, frames: Tensor) -> Tensor:
+        """Uniform integers float64 of 0..seen: the slot that a new measurement takes."""
+        return (uniform(self.seed, keys[:, None], seen) * (seen + 1).double()).floor()
 
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`."""
-        seen, k = candidates.seen, candidates.frames.shape[1] - 1
-        draw = uniform(self.seed, candidates.keys, seen) * (seen + 1).double()
-        return draw.long().clamp(max=k)
+        assert candidates.chance is not None
+        return candidates.chance[:, -1].long().clamp(max=candidates.frames.shape[1] - 1)
 
 
 @dataclass(frozen=True)
@@ -128,17 +153,22 @@ class DiverseSelection:
     attention: float = 0.3
     spread: float = 0.0
     needs_logits: ClassVar[bool] = True
+    needs_chance: ClassVar[bool] = True
 
     @property
     def needs_centers(self) -> bool:
         """Only the angle needs them."""
         return self.spread > 0
 
+    def chance(self, keys: Tensor, seen: Tensor, frames: Tensor) -> Tensor:
+        """Standard Gumbel variates."""
+        return gumbel(self.seed, keys, frames)
+
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`."""
-        _, keys, frames, logits, centers = candidates
-        assert logits is not None
-        score = self.attention * logits.float().mean(-1) + gumbel(self.seed, keys, frames)
+        _, _, logits, centers, chance = candidates
+        assert logits is not None and chance is not None
+        score = self.attention * logits.float().mean(-1) + chance
         if self.spread > 0:
             assert centers is not None
             score = score + self.spread * angle_to_nearest(centers).log()
@@ -147,7 +177,7 @@ class DiverseSelection:
 
 def gumbel(seed: int, keys: Tensor, frames: Tensor) -> Tensor:
     """Standard Gumbel variates float32 [M, K], hashed from seed, keys [M, 3] and frames [M, K]."""
-    chance = uniform(seed, keys[:, None].expand(*frames.shape, 3), frames).float()
+    chance = uniform(seed, keys[:, None], frames).float()
     return -(-chance.clamp(1e-7, 1 - 1e-7).log()).log()
 
 
@@ -161,8 +191,11 @@ def angle_to_nearest(centers: Tensor) -> Tensor:
 
 
 def uniform(seed: int, keys: Tensor, counter: Tensor) -> Tensor:
-    """Uniform float64 [...] in [0, 1), hashed from seed, keys int64 [..., 3] and counter [...]."""
-    state = torch.full_like(counter, seed)
+    """Uniform float64 [...] in [0, 1), hashed from seed, keys int64 [..., 3] and counter [...].
+
+    Keys may be broadcast.
+    """
+    state = torch.full_like(keys[..., 0], seed)
     for word in (*keys.unbind(-1), counter):
         state = _mix(state ^ _mix(word + 0x632BE59B))
     return (state >> 11 & (1 << 52) - 1).double() / (1 << 52)

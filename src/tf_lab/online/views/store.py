@@ -120,7 +120,11 @@ class ViewStore:
             both = self.logits.new_empty(len(rows), self.views + 1, self.heads)
             both[:, :-1], both[:, -1] = self.logits[rows], self.rounded(logits)
             logits = both  # no cat: under a bfloat16 autocast it takes no half precision
-        return Candidates(self.seen[rows].long(), keys, frames, logits, centers)
+        seen = self.seen[rows].long()
+        chance = None
+        if self.policy.needs_chance:
+            chance = self.policy.chance(keys, seen[:, None], frames)
+        return Candidates(seen, frames, logits, centers, chance)
 
     def put(self, frame: int, rows: Tensor, slot: Tensor, logits: Tensor | None) -> None:
         """Write measurements [M] into slots [M] (-1: nowhere), and count them as seen."""
