@@ -133,7 +133,7 @@ def test_meshing_in_between_changes_nothing(
 
 
 def test_what_is_rough_is_made_good(tiny_network: Factory, scene: Scene) -> None:
-    """Around a region only voxels that are new are fused; once all is updated nothing tells."""
+    """Around a region nothing is fused, new voxels neither; once all is updated nothing tells."""
     network = balanced(tiny_network(), scene)
     fused = {}
     for roughly in (False, True):

@@ -62,5 +62,4 @@ class EagerReconstructor(Reconstructor):
             logits = self.network.selection_logits(level.name, tokens)
             assert logits is not None
             store.logits[rows] = store.rounded(logits)
-        level.features["psi"][rows] = psi.float()
-        store.dirty[rows] = False
+        level.put(rows, psi.float())

@@ -82,8 +82,8 @@ def settle(r: Reconstructor) -> None:
         if level is r.fine:
             r.pipeline.refine_coarse(None)
             r.pipeline.mask_coarse(None)
-        level.features["psi"].normal_()
-        level.store.dirty[:] = False
+        rows = (level.store.seen > 0).nonzero()[:, 0]
+        level.put(rows, torch.randn_like(level.features["psi"][rows]))
 
 
 def at_work(

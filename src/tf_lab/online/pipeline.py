@@ -68,8 +68,9 @@ class Pipeline:
 
         Args:
             box: metres; None: everything.
-            roughly: voxels around the box, which only the 3D CNNs read, stay as they were last
-                fused. Once all are brought up to date nothing of that is left.
+            roughly: voxels around the box, which only the 3D CNNs read, stay as they are, new ones
+                left out as beyond the border of a chunk in training. Once all are brought up to
+                date nothing of that is left.
         """
         inner = box if roughly else None
         shown = grown(box, FINE * (3 if self.filter else 6))  # with what interpolation reads
@@ -88,16 +89,14 @@ class Pipeline:
         self.mask_coarse(box)
 
     def fuse(self, level: Level, box: Box | None, inner: Box | None = None) -> None:
-        """Fuse the voxels in a box whose view set changed; outside ``inner`` only new ones."""
+        """Fuse the voxels in a box whose view set changed; of these those in ``inner``, if given."""
         rows = level.blocks.rows_in((level.blocks_in(box) & level.flags["open"]).nonzero()[:, 0])
         rows = rows[level.store.dirty[rows]]
         if inner is not None:
             blocks = torch.div(rows, level.blocks.volume, rounding_mode="floor")
-            new = (level.features["psi"][rows] == 0).all(1)  # a layer norm's output never is
-            rows = rows[level.blocks_in(inner)[blocks] | new]
+            rows = rows[level.blocks_in(inner)[blocks]]
         if len(rows):
-            level.features["psi"][rows] = level.fuse(rows, self.batch)[0]
-            level.store.dirty[rows] = False
+            level.put(rows, level.fuse(rows, self.batch)[0])
             self.changed(level, rows)
 
     def changed(self, level: Level, rows: Tensor) -> None:

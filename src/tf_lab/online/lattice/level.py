@@ -26,7 +26,8 @@ class Level:
     Attributes:
         blocks: which voxels are allocated.
         store: their view sets.
-        features: columns ``psi`` (fused) and ``refined`` [D], and those that users add.
+        features: columns ``psi`` (fused) and ``refined`` [D], ``fused`` (ever), ``near`` (the
+            surface), and those that users add.
         flags: by block: ``open`` (whether it is worked on at all) and what is out of date.
 
     Args:
@@ -47,7 +48,8 @@ class Level:
         self.features = Table(self.device)
         for column in ("psi", "refined"):
             self.features.add_column(column, (width,), torch.float32, 0)
-        self.features.add_column("near", (), torch.bool, 0)
+        for column in ("fused", "near"):
+            self.features.add_column(column, (), torch.bool, 0)
         self.flags = Table(self.device)
         self.flags.add_column("open", (), torch.bool, is_open)
         for stage in ("refined", "near", "values"):
@@ -66,9 +68,8 @@ class Level:
 
     @property
     def active(self) -> Tensor:
-        """Voxels with features: seen, in open blocks. Bool by row."""
-        is_open = self.flags["open"].repeat_interleave(self.blocks.volume)
-        return is_open & (self.store.seen > 0)
+        """Voxels with features, in open blocks: bool by row."""
+        return self.features["fused"] & self.flags["open"].repeat_interleave(self.blocks.volume)
 
     def offer(self, frame: int, rows: Tensor) -> None:
         """Offer a frame's measurements to the voxels (rows [M]) that it sees: by logits alone."""
@@ -116,6 +117,11 @@ class Level:
             fused, w = self.network.fuse(self.name, tokens, slots, frames[rows[part], :k])
             psi[part], weights[part, :k] = fused.float(), w.float()
         return psi, weights
+
+    def put(self, rows: Tensor, psi: Tensor) -> None:
+        """Features [M, D] of rows [M], fused of the views that they hold now."""
+        self.features["psi"][rows], self.features["fused"][rows] = psi, True
+        self.store.dirty[rows] = False
 
     def measurements(self, rows: Tensor, slots: int) -> tuple[Measurements, Tensor]:
         """What the first slots of rows [M] hold, [M, slots, ...], and which are filled."""
