@@ -89,7 +89,7 @@ class Pipeline:
         self.mask_coarse(box)
 
     def fuse(self, level: Level, box: Box | None, inner: Box | None = None) -> None:
-        """Fuse the voxels in a box whose view set changed; of these those in ``inner``, if given."""
+        """Fuse the voxels in a box whose view set changed, of these those in ``inner`` if given."""
         rows = level.blocks.rows_in((level.blocks_in(box) & level.flags["open"]).nonzero()[:, 0])
         rows = rows[level.store.dirty[rows]]
         if inner is not None:
