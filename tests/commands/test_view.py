@@ -14,6 +14,7 @@ from helpers.tiny_jobs import call
 from tf_lab.config.compose import compose_config
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
+from tf_lab.network.checkpoint import shipped_checkpoint
 from tf_lab.reporting.results import read_run
 
 pytest.importorskip("viser", reason="needs pip install 'tf_lab[viewer]'")
@@ -38,6 +39,46 @@ def test_a_run_is_seen_as_it_was_evaluated(tmp_path: Path, box_scene: Path) -> N
     assert [scene.name for scene in scenes.values()] == ["box_room"]
     with pytest.raises(TFLabError, match=r"scene=nowhere: .* has room_2000000"):
         of_run(replace(asked, scene="nowhere"), run)
+
+
+def test_runs_are_seen_side_by_side(
+    tmp_path: Path, box_scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each with its own settings, on one scene that all were tested on."""
+    rows = ("views=4", "views=8 select=rnd")
+    one, two = (
+        write_run(tmp_path / str(n), f"{row} data.root={tmp_path}", 0, [0.5])
+        for n, row in enumerate(rows)
+    )
+    for n in range(2):
+        checkpoint = tmp_path / str(n) / "trainings" / "tiny-seed0-abc" / "model.safetensors"
+        checkpoint.parent.mkdir(parents=True)
+        checkpoint.symlink_to(shipped_checkpoint())
+    scene = open_source(read_run(one).config.data).directory("room_2000000", None)
+    scene.parent.mkdir(parents=True)
+    scene.symlink_to(box_scene)
+    shown: list[Any] = []
+
+    def show(server: Any, sides: Any, capture: Any, frames: Any, truth: Any) -> list[Any]:
+        shown.append((sides, capture))
+        return []
+
+    monkeypatch.setattr("tf_lab.commands.view.show_sessions", show)
+    monkeypatch.setattr("tf_lab.viewer.serve.LocalServer.wait", lambda server: server.stop())
+    done = call("view", f"run=[{one},{two}]", "port=0")
+    assert (done.status, done.err) == (0, "")
+    ((sides, capture),) = shown
+    assert capture.name == "box_room"
+    found = [(side.views, side.select.policy) for _, side in sides.values()]
+    assert found == [(4, "attention"), (8, "random")]
+    assert len({*sides}) == 2 and all(name in str(one) + str(two) for name in sides)
+    for given, said in (
+        (f"run=[{one},{one}]", f"run={one}: is given twice"),
+        (f"run=[{one},{two}] checkpoint=a", "checkpoint= goes with one run="),
+        ("run=[]", "an empty list shows nothing"),
+    ):
+        done = call("view", *given.split(" "), "port=0")
+        assert done.status == 2 and said in done.err and len(done.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -32,10 +32,8 @@ def page_of(plain: Session, *names: str) -> Iterator[list[Session]]:
     from tf_lab.viewer.serve import LocalServer
 
     server = LocalServer(free_port())
-    networks = dict.fromkeys(names, plain.network)
-    sessions = show_sessions(
-        server, networks, plain.capture, plain.frames, plain.settings, lambda: None
-    )
+    sides = dict.fromkeys(names, (plain.network, plain.settings))
+    sessions = show_sessions(server, sides, plain.capture, plain.frames, lambda: None)
     for session in sessions:
         session.server = server  # type: ignore[attr-defined]
     yield sessions

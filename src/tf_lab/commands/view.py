@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import read_glb
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.support.devices import device_of
-from tf_lab.viewer.live import show_sessions
+from tf_lab.viewer.live import Side, show_sessions
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.still import show_meshes
 
@@ -29,28 +30,16 @@ def run(config: ViewConfig) -> None:
     """Serve the page until somebody interrupts."""
     server = LocalServer(config.port)  # told before anything that takes long
     if config.mesh is not None:
-        paths = [config.mesh] if isinstance(config.mesh, str) else config.mesh
-        meshes = {path: _read(Path(path)) for path in paths}
+        meshes = {path: _read(Path(path)) for path in _listed(config.mesh)}
         truth = None if config.groundtruth is None else _read(Path(config.groundtruth))
         show_meshes(server, meshes, truth)
         server.wait()
         return
-    capture: Capture | None = None
-    if config.run is not None:
-        config, scenes = of_run(config, Path(config.run))
-        capture = next(iter(scenes.values()))
-    given = config.checkpoint if isinstance(config.checkpoint, list) else [config.checkpoint]
-    checkpoints = [Path(path) if path else shipped_checkpoint() for path in given]
-    loaded = [load_network(path) for path in checkpoints]
-    device = device_of(config.device)
-    networks = [ready(network, config.online, device) for network, _ in loaded]
-    capture = capture or open_input(config, loaded[0][1])
-    names = [capture.name] if len(given) == 1 else _names(checkpoints)
-    settings = capture_settings(config)
+    capture, sides = _sides_of_runs(config) if config.run is not None else _sides(config)
+    _, settings = next(iter(sides.values()))
     frames = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
     truth = _truth_of(capture, config.groundtruth)
-    named = dict(zip(names, networks, strict=True))
-    sessions = show_sessions(server, named, capture, frames, settings, truth)
+    sessions = show_sessions(server, sides, capture, frames, truth)
     if config.play:
         first = threading.Event()
 
@@ -66,13 +55,47 @@ def run(config: ViewConfig) -> None:
     server.wait()
 
 
-def _names(checkpoints: list[Path]) -> list[str]:
+def _sides_of_runs(config: ViewConfig) -> tuple[Capture, dict[str, Side]]:
+    """A test scene of one or more runs, the first's unless asked for, and what each ran."""
+    paths = [Path(path) for path in _listed(config.run)]
+    if len(paths) > 1 and config.checkpoint is not None:
+        raise TFLabError("checkpoint= goes with one run=, not with several side by side")
+    captures, sides = [], []
+    for path in paths:
+        own, scenes = of_run(config, path)
+        config = replace(config, scene=next(iter(scenes)))  # the others are asked for the same
+        captures.append(scenes[config.scene])
+        sides.append(_sides(own, captures[0])[1])
+    if len(paths) == 1:
+        return captures[0], sides[0]
+    first = [next(iter(found.values())) for found in sides]
+    return captures[0], dict(zip(_names("run", paths), first, strict=True))
+
+
+def _sides(config: ViewConfig, capture: Capture | None = None) -> tuple[Capture, dict[str, Side]]:
+    """The input, if no capture is given, and the network of every checkpoint."""
+    given = [config.checkpoint] if config.checkpoint is None else _listed(config.checkpoint)
+    checkpoints = [Path(path) if path else shipped_checkpoint() for path in given]
+    loaded = [load_network(path) for path in checkpoints]
+    device = device_of(config.device)
+    networks = [ready(network, config.online, device) for network, _ in loaded]
+    capture = capture or open_input(config, loaded[0][1])
+    names = [capture.name] if len(given) == 1 else _names("checkpoint", checkpoints)
+    settings = capture_settings(config)
+    return capture, {n: (network, settings) for n, network in zip(names, networks, strict=True)}
+
+
+def _listed(given: str | list[str]) -> list[str]:
+    return [given] if isinstance(given, str) else given
+
+
+def _names(setting: str, paths: list[Path]) -> list[str]:
     """Short names that differ: of files, or with the folders that they lie in."""
-    for parts in range(1, max(len(path.parts) for path in checkpoints) + 1):
-        names = [str(Path(*path.parts[-parts:])) for path in checkpoints]
+    for parts in range(1, max(len(path.parts) for path in paths) + 1):
+        names = [str(Path(*path.parts[-parts:])) for path in paths]
         if len(set(names)) == len(names):
             return names
-    raise TFLabError(f"checkpoint={checkpoints[0]}: is given twice")
+    raise TFLabError(f"{setting}={paths[0]}: is given twice")
 
 
 def _read(path: Path) -> trimesh.Trimesh:

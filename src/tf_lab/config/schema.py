@@ -224,8 +224,12 @@ class ViewConfig(CaptureConfig):
         kind="path",
         several=True,
     )
-    run: str | None = setting(
-        None, "a run's folder: its test scene, with its network and settings", kind="path"
+    run: Any = setting(
+        None,
+        "a run's folder: its test scene, with its network and settings; or a list of such side by "
+        "side",
+        kind="path",
+        several=True,
     )
     scene: str | None = setting(None, "which test scene of the run; null: the first")
     mesh: Any = setting(
@@ -240,6 +244,8 @@ class ViewConfig(CaptureConfig):
     def __post_init__(self) -> None:
         if sum(x is not None for x in (self.input, self.run, self.mesh)) > 1:
             raise TFLabError("give one of input=, run= and mesh=")
+        if [] in (self.checkpoint, self.run, self.mesh):
+            raise TFLabError("an empty list shows nothing; name what to look at")
 
 
 @dataclass(frozen=True)

@@ -15,36 +15,35 @@ from tf_lab.viewer.scene import Drawing, look_from_above
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.session import Session
 
+Side = tuple[Network, ReconstructionSettings]  # to begin with
 ROOM = 1.5  # metres around the cameras that a page shows at first
 
 
 def show_sessions(
     server: LocalServer,
-    networks: Mapping[str, Network],
+    sides: Mapping[str, Side],
     capture: Capture,
     frames: list[int],
-    settings: ReconstructionSettings,
     truth: Callable[[], Truth | None],
 ) -> list[Session]:
-    """Make the page of a session a network, side by side under one camera; none has started.
+    """Make the page of sessions, side by side under one camera; none has started.
 
     Args:
         server: of the page.
-        networks: by the name that is shown.
+        sides: what reconstructs, by the name that is shown.
         capture: and the rest as of `Session`.
         frames: of it.
-        settings: to begin with.
         truth: gives the ground truth.
     """
     centers = np.asarray(capture.world_T_cam)[:, :3, 3]
     low, high = centers.min(0) - ROOM, centers.max(0) + ROOM
     step = np.array([high[0] - low[0], 0, 0])
     parts = []
-    for number, (name, network) in enumerate(networks.items()):
+    for number, (name, (network, settings)) in enumerate(sides.items()):
         part = Part(Drawing(server, f"/scene{number}", number * step), name)
         part.session = Session(network, capture, frames, settings, part, truth)
         parts.append(part)
-        if len(networks) > 1:
+        if len(sides) > 1:
             place = np.array([*centers.mean(0)[:2], high[2]])
             server.scene.add_label(f"/scene{number}/name", name, position=place)
     panel = Panel(server, parts)
