@@ -63,8 +63,9 @@ def _sides_of_runs(config: ViewConfig) -> tuple[Capture, dict[str, Side]]:
     captures, sides = [], []
     for path in paths:
         own, scenes = of_run(config, path)
-        config = replace(config, scene=next(iter(scenes)))  # the others are asked for the same
-        captures.append(scenes[config.scene])
+        scene, capture = next(iter(scenes.items()))
+        config = replace(config, scene=scene)  # the others are asked for the same
+        captures.append(capture)
         sides.append(_sides(own, captures[0])[1])
     if len(paths) == 1:
         return captures[0], sides[0]
