@@ -46,8 +46,9 @@ class Table:
             if len(column) < rows:
                 spare = round(len(column) * GROWTH)
                 length = max(rows, spare if limit is None else min(spare, limit))
-                larger = column.new_full((length, *column.shape[1:]), self._fill[name])
+                larger = column.new_empty((length, *column.shape[1:]))
                 larger[: self.rows] = column[: self.rows]
+                larger[self.rows :] = self._fill[name]
                 self._columns[name] = larger
         self.rows = rows
 
