@@ -67,7 +67,7 @@ def test_of_equal_weights_the_first_goes() -> None:
     assert (equal.sum(1) > 1).mean() > 0.4
     full, frames = torch.full((voxels,), views), torch.arange(views + 1).expand(voxels, -1)
     logits = torch.from_numpy(np.concatenate([values, 9 + 0 * values[:, :1]], 1)).half()
-    dropped = AttentionSelection().drop(Candidates(full, lattice(voxels), frames, logits))
+    dropped = AttentionSelection().drop(Candidates(full, frames, logits))
     np.testing.assert_array_equal(dropped, equal.argmax(1))
 
 
