@@ -49,6 +49,12 @@ def square(half: float, height: float, up: bool = True) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces, process=False)
 
 
+def upright(y: float) -> trimesh.Trimesh:
+    """A wall on the floor, 0.4 m wide and 1 m high, that faces smaller y."""
+    corners = [[-0.2, y, 0], [0.2, y, 0], [0.2, y, 1], [-0.2, y, 1]]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
 def covered(image: np.ndarray) -> np.ndarray:
     return np.asarray((image < 250).any(-1))
 
@@ -73,14 +79,30 @@ def test_hits_lie_on_the_surface() -> None:
 
 def test_corners_are_darker() -> None:
     """A wall at y = 0.1 m on a floor: less ambient light reaches the floor at its foot."""
-    corners = [[-0.2, 0.1, 0], [0.2, 0.1, 0], [0.2, 0.1, 1], [-0.2, 0.1, 1]]
-    wall = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    wall = upright(0.1)
     floor, camera = square(0.2, 0.0), (*frontal((40, 40)), (40, 40))
     alone = render_mesh(floor, *camera).mean((1, 2))
     walled = render_mesh(floor + wall, *camera).mean((1, 2))
     assert np.ptp(alone) < 1  # a lone floor is evenly lit
     near, far = walled[10:13].mean(), walled[34:39].mean()  # y falls with the rows
     assert near < 0.85 * alone[20] and near < 0.95 * far < 0.95 * alone[20]
+
+
+def test_only_what_is_within_reach_takes_light() -> None:
+    """The floor ends at y = 0.2 m; a wall 0.4 m from its end does shade it, one 0.65 m not."""
+    floor, camera = square(0.2, 0.0), (*frontal((40, 40)), (40, 40))
+    alone = render_mesh(floor, *camera).astype(int)
+    near, far = (render_mesh(floor + upright(0.2 + d), *camera) for d in (0.4, 0.65))
+    assert (near[:3].mean() < alone[:3].mean() - 1) and (far == alone).all()
+
+
+def test_far_from_the_worlds_origin_a_picture_is_the_same() -> None:
+    room, (K, pose) = square(0.2, 0.0) + upright(0.1), frontal((40, 40))
+    here, there = render_mesh(room, K, pose, (40, 40)), np.array([4e5, -5e6, 30.0])
+    room.apply_translation(there)
+    pose[:3, 3] += there
+    far = render_mesh(room, K, pose, (40, 40))
+    assert np.abs(here.astype(int) - far).mean() < 0.5
 
 
 def test_faces_from_behind_and_above_the_cut_are_left_out() -> None:

@@ -56,6 +56,21 @@ def test_attention_drops_the_lowest_weight() -> None:
         assert slots(AttentionSelection(), candidates).tolist() == expected
 
 
+def test_of_equal_weights_the_first_goes() -> None:
+    """Logits of few values, so that voxels hold equal views, in the store's precision."""
+    rng, voxels, views = np.random.default_rng(0), 500, 8
+    values = rng.integers(-2, 3, (voxels, views, 1)) * np.array([1.0, 0.5])
+    e = np.exp(values)
+    weights = (e / e.sum(1, keepdims=True)).mean(2)
+    lowest = weights.min(1, keepdims=True)
+    equal = weights < lowest * (1 + 1e-9)
+    assert (equal.sum(1) > 1).mean() > 0.4
+    full, frames = torch.full((voxels,), views), torch.arange(views + 1).expand(voxels, -1)
+    logits = torch.from_numpy(np.concatenate([values, 9 + 0 * values[:, :1]], 1)).half()
+    dropped = AttentionSelection().drop(Candidates(full, frames, logits))
+    np.testing.assert_array_equal(dropped, equal.argmax(1))
+
+
 @given(
     heads=st.integers(1, 3),
     views=st.integers(1, 5),

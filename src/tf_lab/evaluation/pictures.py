@@ -52,7 +52,8 @@ def compare(
     label = label if len(prediction.faces) else f"{label} (empty)"
     panels = [(label, shade(seen, np.array(CLAY)))]
     if groundtruth is not None:
-        colors = error_colors(Truth(groundtruth).distances(seen.points)) / 255
+        errors = Truth(groundtruth).distances(seen.points, ERROR_SCALE)  # colours say no more
+        colors = error_colors(errors) / 255
         panels.append(("Ground truth", render_mesh(groundtruth, K, world_T_cam, size, ceiling)))
         panels.append(("Distance to ground truth", shade(seen, colors)))
     heading = title if fscore is None else f"{title}    F-score {fscore:.3f}"

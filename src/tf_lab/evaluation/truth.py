@@ -17,6 +17,7 @@ class Truth:
         points, _ = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
         self._tree = cKDTree(np.asarray(points))
 
-    def distances(self, points: np.ndarray) -> np.ndarray:
-        """From points [P, 3] to the surface: [P], metres."""
-        return np.asarray(self._tree.query(points)[0])
+    def distances(self, points: np.ndarray, most: float = np.inf) -> np.ndarray:
+        """From points [P, 3] to the surface: [P], metres; larger ones as ``most``, sooner."""
+        found, _ = self._tree.query(points, distance_upper_bound=most)
+        return np.minimum(found, most)  # beyond the bound the tree answers infinity

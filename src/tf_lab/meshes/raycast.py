@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 
 CLAY = (0.66, 0.74, 0.84)
 FINE = 2  # rays a pixel along each axis
@@ -128,7 +130,8 @@ def cast(
     if ceiling is not None and center[2] > ceiling:  # rays start on the cut: it is exact
         steepness = np.minimum(directions[:, 2], -1e-6)
         origins += directions * ((ceiling - center[2]) / steepness)[:, None]
-    face = _first_hit(shown, origins, directions)
+    rays = _Rays(shown)
+    face = rays.first_hit(origins, directions)
     hit = face >= 0
     face, origins, directions = face[hit], origins[hit], directions[hit]
     normals, anchors = shown.face_normals[face], shown.triangles[face, 0]
@@ -136,37 +139,56 @@ def cast(
     depth /= np.einsum("ij,ij->i", directions, normals)
     points = origins + depth[:, None] * directions
     samples = np.stack([row[hit], column[hit]], axis=1)
-    brightness = _brightness(shown, points, normals)
+    brightness = _brightness(rays, points, normals)
     return Hits((height, width), samples, points, shown.faces[face], brightness)
 
 
-def _first_hit(mesh: trimesh.Trimesh, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Index of the first face on each ray, -1 for none: int [N]."""
-    if len(mesh.faces) == 0:
-        return np.full(len(origins), -1)
-    return np.asarray(mesh.ray.intersects_first(origins, directions))
+class _Rays:
+    """Rays into a mesh. Those of trimesh cannot be told how far to look.
+
+    Embree computes in float32: from the mesh's middle, wherever the world's origin is.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self._scene, self._empty = EmbreeScene(), len(mesh.faces) == 0
+        self._middle = np.zeros(3) if self._empty else mesh.bounds.mean(0)
+        if not self._empty:
+            corners = self._local(mesh.vertices)
+            self._mesh = TriangleMesh(self._scene, corners, np.asarray(mesh.faces, np.int32))
+
+    def _local(self, points: np.ndarray) -> np.ndarray:
+        return np.asarray(points - self._middle, np.float32)
+
+    def first_hit(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Index of the first face on each ray, -1 for none: int [N]."""
+        if self._empty:
+            return np.full(len(origins), -1)
+        return np.asarray(self._scene.run(self._local(origins), directions.astype(np.float32)))
+
+    def openness(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Ambient light: 1 where rays from a point meet nothing nearby, 0.25 where all do: [N]."""
+        rng = np.random.default_rng(0)
+        start, normals = self._local(points + 5e-3 * normals), normals.astype(np.float32)
+        reach = np.full(len(points), AMBIENT_REACH, np.float32)
+        free = np.zeros(len(points))
+        for _ in range(AMBIENT_RAYS if len(points) else 0):
+            # a normal plus a random unit vector is cosine-distributed about the normal
+            random = rng.standard_normal(normals.shape, np.float32)
+            direction = _unit(normals + _unit(random))
+            free += self._scene.run(start, direction, dists=reach, query="OCCLUDED") != 0
+        return 0.25 + 0.75 * free / AMBIENT_RAYS
 
 
-def _brightness(mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors [N, 3] at length 1, in their own precision."""
+    return vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
+
+
+def _brightness(rays: _Rays, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Light on surface points [N, 3] with unit normals [N, 3]: [N]."""
     key = np.clip(normals @ trimesh.unitize(LIGHT), 0, 1)
     sky = 0.5 + 0.5 * normals[:, 2]
-    return 0.38 * key + (0.42 + 0.32 * sky) * _openness(mesh, points, normals)
-
-
-def _openness(mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Ambient light: 1 where rays from a point meet nothing nearby, 0.25 where all do: [N]."""
-    rng = np.random.default_rng(0)
-    start = points + 5e-3 * normals
-    blocked = np.zeros(len(points))
-    for _ in range(AMBIENT_RAYS if len(points) else 0):
-        # a normal plus a random unit vector is cosine-distributed about the normal
-        direction = trimesh.unitize(normals + trimesh.unitize(rng.normal(size=normals.shape)))
-        face = _first_hit(mesh, start, direction)
-        across = np.einsum("ij,ij->i", direction, mesh.face_normals[face])
-        away = np.einsum("ij,ij->i", mesh.triangles[face, 0] - start, mesh.face_normals[face])
-        blocked += (face >= 0) & (np.abs(away) < AMBIENT_REACH * np.abs(across))
-    return 1 - 0.75 * blocked / AMBIENT_RAYS
+    return 0.38 * key + (0.42 + 0.32 * sky) * rays.openness(points, normals)
 
 
 def shade(hits: Hits, color: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ class Decoder:
             for x, w in ((coarse, weight[:, :width]), (fine, weight[:, width:]))
         ]
         out = [
-            self._decode(first[0][c], self.coarse[p], first[1][f])
+            self._decode(_rows(first[0], c), self.coarse[p], _rows(first[1], f))
             for c, p, f in zip(
                 coarse_table.split(self.batch),
                 part.split(self.batch),
@@ -84,3 +84,8 @@ class Decoder:
         x = torch.baddbmm(self.mlp.input.bias, weights.to(coarse.dtype), coarse)
         x = x + self.fine.to(fine.dtype) @ fine
         return self.mlp.output(self.mlp.feed_forward(x)).squeeze(-1)
+
+
+def _rows(values: Tensor, index: Tensor) -> Tensor:
+    """Values [N, C] at an index [V, 27]: [V, 27, C]. On a CPU faster than ``values[index]``."""
+    return values.index_select(0, index.flatten()).view(*index.shape, -1)

@@ -154,7 +154,7 @@ class Frames:
             return found.to(self.device).float()[:, None]
 
         K, world_T_cam, cam_T_world = (
-            c[name][frames] for name in ("K", "world_T_cam", "cam_T_world")
+            c[name].index_select(0, frames) for name in ("K", "world_T_cam", "cam_T_world")
         )
         depth_range = (config.near, config.far)
         one = measure(points[:, None], K, world_T_cam, cam_T_world, self.size, depth_range, sample)

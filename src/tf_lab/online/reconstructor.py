@@ -203,7 +203,8 @@ class Reconstructor:
         self._offer_seen(frame, self.fine.blocks.rows_in(blocks))
 
     def _offer_seen(self, frame: int, rows: Tensor) -> None:
-        self.offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
+        if len(rows):
+            self.offer(self.fine, frame, rows[self.frames.visible(self.fine.points(rows), frame)])
 
     def offer(self, level: Level, frame: int, rows: Tensor) -> None:
         """Offer a frame to the voxels (rows [M]) of a level that it sees."""

@@ -16,6 +16,7 @@ from tf_lab.online.views.store import ViewStore
 
 BLOCK = 3  # voxels along a block's edge; a fine block is one coarse voxel
 LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
+FUSED = 1 << 19  # floats of tokens fused at a time on a CPU: more would not fit its cache
 
 Box = tuple[np.ndarray, np.ndarray]  # lower and upper corner, metres
 
@@ -99,7 +100,7 @@ class Level:
         return self.blocks.voxels(rows) * steps + steps // 2
 
     def fuse(self, rows: Tensor, batch: int) -> tuple[Tensor, Tensor]:
-        """Fused features [M, D] and view weights [M, K] of rows [M], ``batch`` at a time.
+        """Fused features [M, D] and view weights [M, K] of rows [M], at most ``batch`` at a time.
 
         Voxels with as many views are fused together, so that nobody waits for empty slots.
         """
@@ -109,6 +110,8 @@ class Level:
         most = count[order].tolist()
         psi = torch.zeros(len(rows), self.features["psi"].shape[1], device=self.device)
         weights = torch.zeros(len(rows), frames.shape[1], device=self.device)
+        if self.device.type == "cpu":
+            batch = max(1, min(batch, FUSED // (frames.shape[1] * psi.shape[1])))
         for start in range(0, len(rows), batch):
             part = order[start : start + batch]
             k = max(1, most[min(start + batch, len(rows)) - 1])

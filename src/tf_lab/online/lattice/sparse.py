@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from tf_lab.network.refinement import ChannelNorm, ResidualBlock3d
 from tf_lab.online.lattice.blocks import Blocks
 
-GATHER = {"cpu": 1 << 21, "cuda": 1 << 27}  # floats gathered at a time
+GATHER = {"cpu": 1 << 19, "cuda": 1 << 27}  # floats gathered at a time
 
 
 @dataclass
@@ -50,8 +50,9 @@ def convolve(conv: nn.Conv3d, x: Tensor, table: Tensor) -> Tensor:
     if conv.kernel_size[0] == 1:
         table = table[:, 13:14]
     x = F.pad(x, (0, 0, 0, 1))
-    batch = max(1, GATHER.get(x.device.type, 1 << 21) // weight.shape[0])
-    out = [F.linear(x[part].flatten(1), weight.T, conv.bias) for part in table.split(batch)]
+    batch = max(1, GATHER.get(x.device.type, GATHER["cpu"]) // weight.shape[0])
+    around = (x.index_select(0, part.flatten()).view(len(part), -1) for part in table.split(batch))
+    out = [F.linear(features, weight.T, conv.bias) for features in around]
     return torch.cat(out) if out else x.new_zeros(0, weight.shape[1])
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-GROWTH = 1.25  # spare room, so that appending is cheap on average
+# Spare room, so that appending is cheap on average; a host's takes no memory until it is used.
+GROWTH = {"cpu": 2.0, "cuda": 1.25}
 
 
 class Table:
@@ -44,11 +45,12 @@ class Table:
         """Make it ``rows`` long, without spare room beyond ``limit`` rows."""
         for name, column in self._columns.items():
             if len(column) < rows:
-                spare = round(len(column) * GROWTH)
+                spare = round(len(column) * GROWTH.get(self.device.type, GROWTH["cuda"]))
                 length = max(rows, spare if limit is None else min(spare, limit))
-                larger = column.new_full((length, *column.shape[1:]), self._fill[name])
+                larger = column.new_empty((length, *column.shape[1:]))
                 larger[: self.rows] = column[: self.rows]
-                self._columns[name] = larger
+                self._columns[name] = column = larger
+            column[self.rows : rows] = self._fill[name]
         self.rows = rows
 
     def nbytes(self, *names: str) -> int:

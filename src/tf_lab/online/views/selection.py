@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.network.fusion.weights import weights_from_logits
+from tf_lab.network.fusion.weights import lowest_weight
 
 
 class Candidates(NamedTuple):
@@ -106,7 +106,7 @@ class AttentionSelection:
     def drop(self, candidates: Candidates) -> Tensor:
         """See `SelectionPolicy`. Of equals the first goes."""
         assert candidates.logits is not None
-        return weights_from_logits(candidates.logits[:, :-1], None).argmin(dim=1)
+        return lowest_weight(candidates.logits[:, :-1])
 
 
 @dataclass(frozen=True)

@@ -114,11 +114,11 @@ class ViewStore:
         centers: Tensor | None,
     ) -> Candidates:
         """What a policy chooses among; arguments as of `add`."""
-        new = torch.full_like(self.frames[rows, :1], frame)
-        frames = torch.cat([self.frames[rows], new], 1).long()
+        frames = self.frames.new_full((len(rows), self.views + 1), frame, dtype=torch.int64)
+        frames[:, :-1] = self.frames.index_select(0, rows)  # on a CPU faster than frames[rows]
         if logits is not None:
             both = self.logits.new_empty(len(rows), self.views + 1, self.heads)
-            both[:, :-1], both[:, -1] = self.logits[rows], self.rounded(logits)
+            both[:, :-1], both[:, -1] = self.logits.index_select(0, rows), self.rounded(logits)
             logits = both  # no cat: under a bfloat16 autocast it takes no half precision
         seen = self.seen[rows].long()
         chance = None
