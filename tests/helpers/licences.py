@@ -1,6 +1,6 @@
 """What of other people tf_lab needs, under which licences, as their packages' metadata say.
 
-    PYTHONPATH=src:tests python -m helpers.licences [EXTRA ...]
+    PYTHONPATH=$PWD/src:$PWD/tests python -m helpers.licences [EXTRA ...]
 
 Prints a table with what is copyleft in front; libraries inside of a wheel are not in metadata.
 """

@@ -1,6 +1,6 @@
 """The figures of docs/reliability.md: commands disturbed so many times, and what that did.
 
-    PYTHONPATH=src:tests python tests/reliability/campaign.py KILL --tries 25 [CASE ...]
+    PYTHONPATH=$PWD/src:$PWD/tests python tests/reliability/campaign.py KILL --tries 25 [CASE ...]
 
 KILL, TERM or INT; TERM-group and INT-group send it to all processes; FULL runs out of space.
 Several, as in KILL,TERM --tries 25,10.
