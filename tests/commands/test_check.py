@@ -69,6 +69,23 @@ def test_intrinsics_of_larger_images(tmp_path: Path) -> None:
     assert result.out.splitlines()[-1].endswith("wrong; to mend it: intrinsics_size=[192,144]")
 
 
+def test_images_that_cannot_be_read_are_counted_and_named(tmp_path: Path) -> None:
+    folder = written(None, tmp_path / "kitchen") / "images"
+    images = sorted(folder.iterdir(), key=lambda path: int(path.stem))
+    cut, empty = images[3], images[-1]
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    empty.write_bytes(b"")
+    result = call("check", "input=kitchen", DOWN, "output=found")
+    assert (result.status, result.err) == (1, "")
+    (figure,) = (line for line in result.out.splitlines() if "unreadable" in line)
+    assert f"2 of {len(images)} images" in figure
+    (line,) = (line for line in result.out.splitlines() if "cannot be read" in line)
+    assert f"2 of {len(images)} images cannot be read" in line
+    assert f"({cut.stem}, {empty.stem})" in line
+    told = json.loads((tmp_path / "found" / "check.json").read_text())["statistics"]["unread"]
+    assert [reason.partition(": ")[0] for reason in told] == [cut.stem, empty.stem]
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

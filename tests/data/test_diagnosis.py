@@ -224,6 +224,22 @@ def test_a_camera_that_stands_still_tells_nothing_of_poses() -> None:
     still = [replace(room()[0], name=str(i)) for i in range(12)]
     report = checked(still)
     assert report.verdict == UNKNOWN
+    assert "all 12 poses are the same" in report.findings[0]
+
+
+def test_poses_that_do_not_move_as_the_images_do_are_wrong() -> None:
+    pose = room()[0].world_T_cam
+    still = [replace(f, world_T_cam=pose) for f in room()]
+    report = checked(still)
+    assert (report.verdict, report.settings) == (WRONG, [])
+    assert report.findings == ["the camera does not move: all 24 poses are the same"]
+    turning = [f.world_T_cam.copy() for f in room()]
+    for matrix in turning:
+        matrix[:3, 3] = pose[:3, 3]
+    at_one_place = [replace(f, world_T_cam=p) for f, p in zip(room(), turning, strict=True)]
+    line = quick_warning(opened(at_one_place, DOWN), DOWN)
+    assert line is not None
+    assert "the camera only turns: all 24 poses are at one place" in line
 
 
 def test_without_depth_a_wrong_unit_is_doubted() -> None:
@@ -231,6 +247,21 @@ def test_without_depth_a_wrong_unit_is_doubted() -> None:
     report = checked(far)
     assert report.verdict == DOUBTFUL
     assert report.settings == ["scale=0.001"]
+
+
+@pytest.mark.parametrize(("factor", "mend"), [(0.01, "scale=100"), (100, "scale=0.01")])
+def test_a_quick_check_warns_of_a_wrong_unit(factor: float, mend: str) -> None:
+    poses = [f.world_T_cam.copy() for f in room()]
+    for pose in poses:
+        pose[:3, 3] *= factor
+    frames = [replace(f, depth=None, world_T_cam=p) for f, p in zip(room(), poses, strict=True)]
+    line = quick_warning(opened(frames, DOWN), DOWN)
+    assert line is not None
+    assert f"which no room has in metres; try {mend}" in line
+    grey = [replace(f, image=np.full_like(f.image, 128)) for f in frames]
+    line = quick_warning(opened(grey, DOWN), DOWN)
+    assert (line is not None) == (factor < 1)
+    assert factor > 1 or "give scale=METRES_PER_UNIT" in str(line)
 
 
 def forced(folder: Path) -> SourceCapture:

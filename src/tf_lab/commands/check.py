@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track as rich_track
 from rich.table import Table
 
 from tf_lab.config.schema import CheckConfig
@@ -33,10 +35,20 @@ def run(config: CheckConfig) -> None:
             raise TFLabError(f"{output}: is a file; output=DIR names a folder")
         output.mkdir(parents=True, exist_ok=True)
     capture = open_capture(path, settings, strict=False)
-    report, evidence = diagnose(capture, settings, path)
+    screen = Console(stderr=True)
+    track = partial(
+        rich_track,
+        description="reading images",
+        console=screen,
+        disable=not screen.is_terminal,
+        transient=True,
+    )
+    report, evidence = diagnose(capture, settings, path, track)
     console = Console(highlight=False, soft_wrap=True)
     for table in tables(report):
         console.print(table)
+    if capture.skipped:
+        print(f"lost: {len(capture.skipped)} frames; the first: {capture.skipped[0]}")
     for line in lines(report, path):
         print(line)
     if output is not None:
@@ -75,6 +87,7 @@ def _row(candidate: Candidate) -> tuple[str, str, str, str]:
 def figures(s: Statistics) -> Iterator[tuple[str, str]]:
     """What is known of a capture, by name."""
     yield "frames", f"{s.frames}, of them keyframes {s.keyframes}; lost {s.lost}"
+    yield "unreadable", f"{len(s.unread)} of {s.looked_at} images"
     wide, high = s.field_of_view
     yield "images", f"{s.size[0]}x{s.size[1]}, field of view {wide:.0f} x {high:.0f} degrees"
     x, y, z = s.extent
@@ -91,13 +104,16 @@ def figures(s: Statistics) -> Iterator[tuple[str, str]]:
 
 def lines(report: Report, path: Path) -> Iterator[str]:
     """What was found beside the tables, and the verdict."""
-    yield f"{report.matches} matches in {report.pairs} pairs of images"
+    exact = ""
+    if np.isfinite(report.floor):
+        exact = (
+            f"; they are themselves exact to {report.floor:.2f} pixels: errors near that are as "
+            "good as can be"
+        )
+    yield f"{report.matches} matches in {report.pairs} pairs of images{exact}"
     if report.found is not None and report.found.focal is not None:
         best, low, high = report.found.focal
-        yield (
-            f"focal length: {best:.3f} times the given one fits best ({low:.3f} to {high:.3f}); "
-            f"any cameras would leave {report.floor:.2f} pixels"
-        )
+        yield (f"focal length: {best:.3f} times the given one fits best ({low:.3f} to {high:.3f})")
     if report.scale is not None and np.isfinite(report.scale.seen):
         if np.isfinite(report.scale.factor):
             yield (

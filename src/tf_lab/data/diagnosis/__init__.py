@@ -10,39 +10,47 @@ import numpy as np
 from tf_lab.data.capture import Capture
 from tf_lab.data.diagnosis.evidence import Evidence
 from tf_lab.data.diagnosis.matches import Album, match_capture
+from tf_lab.data.diagnosis.motion import images_move, little_motion, standstill
 from tf_lab.data.diagnosis.scale import find_scale
 from tf_lab.data.diagnosis.search import search
 from tf_lab.data.diagnosis.sensors import compare_sensors
-from tf_lab.data.diagnosis.statistics import describe
-from tf_lab.data.diagnosis.verdict import UNKNOWN, WRONG, Report, judge, too_poor
+from tf_lab.data.diagnosis.statistics import Track, describe
+from tf_lab.data.diagnosis.verdict import UNKNOWN, WRONG, Report, judge, too_poor, unread
 from tf_lab.data.reading import AS_STATED, ReadSettings
 
 PAIRS, FEW = 60, 12  # of images: of a whole check, and of a quick one
 NARROW = 400  # pixels, for a quick one
+MORE = "(see python -m tf_lab.check)"
 
 logger = logging.getLogger(__name__)
 
 
-def diagnose(capture: Capture, settings: ReadSettings, path: Path) -> tuple[Report, Evidence]:
+def diagnose(
+    capture: Capture, settings: ReadSettings, path: Path, track: Track = iter
+) -> tuple[Report, Evidence]:
     """Check a capture: its verdict, and the matches that it rests on.
 
     Args:
         capture: as `open_capture` gave it.
         settings: with which it was opened.
         path: from where.
+        track: shows how far the reading of all images is.
     """
     album = Album(capture)
     evidence = Evidence(capture, settings, match_capture(album, PAIRS))
-    poor = too_poor(evidence)
-    if poor:
-        statistics = describe(album, evidence, settings, path)
+    still, poor = standstill(capture.world_T_cam), too_poor(evidence)
+    if still or poor:
+        statistics = describe(album, evidence, settings, path, track)
         matches = sum(len(pair.a) for pair in evidence.pairs)
+        little = "" if still else little_motion(capture.world_T_cam)
+        findings = [why for why in (still, poor, little, *unread(statistics)) if why]
+        verdict = WRONG if still and images_move(evidence) else UNKNOWN
         report = Report(
-            UNKNOWN, [poor], [], len(evidence.pairs), matches, float("nan"), statistics=statistics
+            verdict, findings, [], len(evidence.pairs), matches, np.nan, statistics=statistics
         )
         return report, evidence
     found = search(evidence)
-    statistics = describe(album, evidence, found.best.settings, path)
+    statistics = describe(album, evidence, found.best.settings, path, track)
     scale = find_scale(evidence, found.best)
     sensors = None if scale.setting else compare_sensors(evidence, found.best)
     return judge(evidence, found, scale, sensors, statistics), evidence
@@ -55,14 +63,18 @@ def quick_warning(capture: Capture, settings: ReadSettings = AS_STATED) -> str |
     """
     try:
         evidence = Evidence(capture, settings, match_capture(Album(capture, NARROW), FEW))
+        poses = capture.world_T_cam
+        if hopeless := standstill(poses) or (too_poor(evidence) and little_motion(poses)):
+            return f"{hopeless} {MORE}"
         if too_poor(evidence):
             return None
         found = search(evidence, thorough=False)
-        report = judge(evidence, found, find_scale(evidence, found.best), None, None)
+        scale = find_scale(evidence, found.best)
+        report = judge(evidence, found, scale, None, None)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         logger.debug("no quick check of %s: %s", capture.name, error)
         return None
-    if report.verdict != WRONG:
+    if report.verdict != WRONG and not scale.setting:
         return None
     cure = f"; try {' '.join(report.settings)}" if report.settings else ""
-    return f"{'; '.join(report.findings)}{cure} (see python -m tf_lab.check)"
+    return f"{'; '.join(report.findings)}{cure} {MORE}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,8 +20,12 @@ from tf_lab.errors import TFLabError
 
 KEYFRAME_DISTANCE = 0.1  # as in reconstruction
 DEPTH_FRAMES = 12  # whose depth is looked at
+MOST_IMAGES = 1000  # that are read to see whether they can be
 BLURRED = 20.0  # variance of the Laplacian below which an image shows no edge
 DARK, BRIGHT = 30.0, 225.0  # mean grey values
+
+
+Track = Callable[[Sequence[int]], Iterable[int]]
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class Statistics:
 
     Attributes:
         frames, keyframes, lost: counts; lost are those left out.
+        looked_at: of how many frames the image was read; all, unless they are very many.
+        unread: "frame: why" of each image that cannot be read.
         size: (width, height) of the images, pixels.
         field_of_view: horizontal and vertical, degrees.
         path: length of the way of the camera.
@@ -47,6 +54,8 @@ class Statistics:
     frames: int
     keyframes: int
     lost: int
+    looked_at: int
+    unread: tuple[str, ...]
     size: tuple[int, int]
     field_of_view: tuple[float, float]
     path: float
@@ -62,8 +71,18 @@ class Statistics:
     overlap: float
 
 
-def describe(album: Album, evidence: Evidence, best: ReadSettings, path: Path) -> Statistics:
-    """The figures; blur and exposure are of the images that were matched."""
+def describe(
+    album: Album, evidence: Evidence, best: ReadSettings, path: Path, track: Track = iter
+) -> Statistics:
+    """The figures; blur and exposure are of the images that were matched.
+
+    Args:
+        album: the images.
+        evidence: their matches.
+        best: how the capture is best read.
+        path: from where.
+        track: shows how far the reading of all images is.
+    """
     capture = album.capture
     centres = capture.world_T_cam[:, :3, 3]
     keyframes = select_keyframes(capture.world_T_cam, KEYFRAME_DISTANCE)
@@ -72,11 +91,15 @@ def describe(album: Album, evidence: Evidence, best: ReadSettings, path: Path) -
     grey = np.array(list(album.brightness.values()) or [np.nan])
     up = capture.source_T_world[:3, 2]
     up = up / np.linalg.norm(up)
+    count = len(capture.frames)
+    looked_at = np.unique(np.linspace(0, count - 1, min(count, MOST_IMAGES)).astype(int)).tolist()
     extent = np.ptp(centres, axis=0)
     return Statistics(
         frames=len(capture.frames),
         keyframes=len(keyframes),
         lost=len(capture.skipped),
+        looked_at=len(looked_at),
+        unread=tuple(f"{capture.frames[i]}: {why}" for i, why in _unread(album, track(looked_at))),
         size=capture.size,
         field_of_view=(_angle(width, K[0, 0]), _angle(height, K[1, 1])),
         path=float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()),
@@ -91,6 +114,16 @@ def describe(album: Album, evidence: Evidence, best: ReadSettings, path: Path) -
         unread_depth=_unread_depth(capture),
         overlap=_overlap(evidence, best, keyframes),
     )
+
+
+def _unread(album: Album, frames: Iterable[int]) -> Iterator[tuple[int, TFLabError]]:
+    """Which of the frames have no image that can be read, and why."""
+    for index in frames:
+        if index not in album.sharpness:  # else it was read
+            try:
+                album.capture.image(index)
+            except TFLabError as error:
+                yield index, error
 
 
 def _angle(pixels: int, focal: float) -> float:

@@ -16,6 +16,7 @@ from tf_lab.data.diagnosis.statistics import Statistics
 FINE, DOUBTFUL, WRONG, UNKNOWN = "fine", "doubtful", "wrong", "too poor to tell"
 LEAST_PAIRS, LEAST_MATCHES = 5, 120
 HOPELESS = 3  # times the error of usable poses: beyond doubt not those of the images
+NAMED = 10  # frames, at most
 FOCAL = 0.06  # how far (logarithm) depth may put colour's focal length from what is stated
 
 
@@ -185,7 +186,8 @@ def _judge_scale(judgement: _Judgement, scale: Scale) -> None:
     else:
         judgement.add(
             DOUBTFUL,
-            f"what the images show is {scale.seen:.3g} m away, which no room has in metres",
+            f"what the images show is {float(f'{scale.seen:.3g}'):,g} m away, which no room has in "
+            "metres",
             scale.setting,
         )
 
@@ -200,7 +202,21 @@ def _judge_sensors(judgement: _Judgement, sensors: Sensors, found: Found) -> Non
         )
 
 
+def unread(statistics: Statistics) -> list[str]:
+    """A sentence on the images that cannot be read, if there are any."""
+    if not statistics.unread:
+        return []
+    names = [line.partition(": ")[0] for line in statistics.unread]
+    named = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+    return [
+        f"{len(names)} of {statistics.looked_at} images cannot be read and will be skipped "
+        f"({named}); the first: {statistics.unread[0]}"
+    ]
+
+
 def _judge_images(judgement: _Judgement, statistics: Statistics) -> None:
+    for finding in unread(statistics):
+        judgement.add(DOUBTFUL, finding)
     if statistics.unread_depth:
         judgement.add(DOUBTFUL, f"depth maps are left out: {statistics.unread_depth}")
     if statistics.ill_exposed > 0.5:
