@@ -67,7 +67,17 @@ def deeper(mine: Path) -> None:
 
 def other_file(mine: Path) -> None:
     empty(mine)
+    (mine / "notes.pdf").write_bytes(b"0")
+
+
+def video_only(mine: Path) -> None:
+    empty(mine)
     (mine / "video.mp4").write_bytes(b"0")
+
+
+def bare_images(mine: Path) -> None:
+    images = mine.rename("capture") / "images"
+    images.rename(mine)
 
 
 def truncated_images(mine: Path) -> None:
@@ -82,12 +92,17 @@ def truncated_images(mine: Path) -> None:
         (missing, ("mine: no such folder", "give the folder")),
         (empty, ("mine: empty", "looked for", "images/, poses.txt, K.txt")),
         (other_file, ("mine: of no known layout", "images/, poses.txt, K.txt")),
+        (video_only, ("mine: a video, but no camera poses", "COLMAP", "docs/own_video.md")),
+        (bare_images, ("mine: 24 images, but no camera poses", "COLMAP", "docs/own_video.md")),
         (short_pose, ("poses.txt, line 4: 5 values", "write one pose a line")),
         (
             one_pose_less,
             ("poses.txt has 23 lines, images/ has 24", "write one pose an image"),
         ),
-        (no_poses, ("mine: images/ is there, but no poses", "write poses.txt", "K.txt")),
+        (
+            no_poses,
+            ("mine: 24 images in images/, but no camera poses", "COLMAP", "poses.txt", "K.txt"),
+        ),
         (deeper, ("mine: holds captures", "such as mine/scene/seq-01")),
         (lost_poses, ("mine: no usable frame", "NaN", "every frame needs")),
         (no_intrinsics, ("K.txt: missing", "3x3 intrinsics")),

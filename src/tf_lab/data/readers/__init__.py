@@ -20,6 +20,7 @@ from tf_lab.data.origin import check_extent
 from tf_lab.data.readers import (
     arkit,
     colmap,
+    images,
     plain,
     polycam,
     record3d,
@@ -132,18 +133,32 @@ def _detect(path: Path) -> str:
 
 def _why_unknown(path: Path) -> str:
     """What is wrong with a path of no known layout, and what to do."""
-    if (path / "images").is_dir():
-        return (
-            "images/ is there, but no poses; write poses.txt (a camera-to-world matrix a line) and "
-            "K.txt beside it (docs/data.md), or add what has them (transforms.json, sparse/0/)"
-        )
     inner = capture_within(path)
     if inner is not None:
         return f"holds captures, and is none itself; give one of them, such as {inner}"
+    if found := _pictures(path):
+        return (
+            f"{found}, but no camera poses; find them by COLMAP or nerfstudio, or film with an app "
+            "that records them (docs/own_video.md says how); poses of your own go into poses.txt "
+            "(a camera-to-world matrix a line) and K.txt beside the video or images/ (docs/data.md)"
+        )
     layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
     empty = path.is_dir() and not any(path.iterdir())
     state = "empty" if empty else "of no known layout"
     return f"{state}; looked for {'; '.join(layouts)}"
+
+
+def _pictures(path: Path) -> str:
+    """The images or the video in a folder, or in one in it; empty: there are none."""
+    if path.is_file():
+        return "an image" if path.suffix.lower() in images.IMAGE_SUFFIXES else ""
+    for folder in (path, *_folders(path)):
+        where = f" in {folder.name}/" if folder != path else ""
+        if count := len(images.image_files(folder)):
+            return f"{count} image{'s' * (count > 1)}{where}"
+        if video.video_files(folder):
+            return f"a video{where}"
+    return ""
 
 
 def capture_within(path: Path) -> Path | None:

@@ -28,7 +28,7 @@ def detect(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() in VIDEO_SUFFIXES
     posed = (path / "poses.txt").is_file() and not (path / "images").is_dir()
-    return posed and len(_videos(path)) == 1
+    return posed and len(video_files(path)) == 1
 
 
 def read(path: Path) -> SourceCapture:
@@ -37,7 +37,7 @@ def read(path: Path) -> SourceCapture:
     Raises:
         TFLabError: a part is missing or damaged, or frames and poses don't match.
     """
-    videos = _videos(path) if path.is_dir() else [path]
+    videos = video_files(path) if path.is_dir() else [path]
     if len(videos) != 1:
         raise TFLabError(
             f"{path}: {len(videos)} videos ({', '.join(VIDEO_SUFFIXES)}) in it; give the folder of "
@@ -60,7 +60,8 @@ def read(path: Path) -> SourceCapture:
     return collect(path, frames_of_poses, skipped=[])
 
 
-def _videos(folder: Path) -> list[Path]:
+def video_files(folder: Path) -> list[Path]:
+    """The visible video files of a folder."""
     files = folder.iterdir() if folder.is_dir() else ()
     return [
         file
