@@ -324,6 +324,8 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("model.depths=3", ("model.depths: no such setting",)),
         ("modle=tiny", ("modle: no such setting", "did you mean model?")),
         ("fusion=foo", ("fusion=foo: no such choice", "transformer", "avg", "pred")),
+        ("select=attention", ("select=attention: no such choice", "did you mean select=attn?")),
+        ("fusion=average", ("did you mean fusion=avg?", "there are avg, gru, pred, transformer")),
         ("model=huge", ("model=huge: no such choice", "tiny", "small", "paper")),
         ("model=", ("model=: no such choice", "tiny")),
         ("fusion=null", ("fusion=null: choose one of avg, gru, pred, transformer", "leave it out")),

@@ -110,7 +110,9 @@ def explain(error: Exception, conf: Path, name: str) -> str:
     text = str(error) or str(error.__cause__)
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
         group, _, choice = error.missing_cfg_file.rpartition("/")
-        return f"{group}={choice}: no such choice; there are {', '.join(error.options)}"
+        like = difflib.get_close_matches(choice, error.options, 1)
+        meant = f"did you mean {group}={like[0]}? " if like else ""
+        return f"{group}={choice}: no such choice; {meant}there are {', '.join(error.options)}"
     if isinstance(error, OverrideParseException):
         if "=" not in error.override:
             return f"{error.override}: not of the form NAME=VALUE; {more}"
