@@ -93,8 +93,8 @@ def test_no_circle() -> None:
 
 
 def test_the_top_is_commands() -> None:
-    """At most thirteen modules there."""
-    assert len(list(PACKAGE.glob("*.py"))) <= 13
+    """At most fourteen modules there: eleven commands, their list, the names, the error."""
+    assert len(list(PACKAGE.glob("*.py"))) <= 14
 
 
 SHORT = (

@@ -1,10 +1,13 @@
 """``--help``: what a command does, its choices, and every setting with its value and meaning."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+import tf_lab
 from helpers.tiny_jobs import call, start
 from tf_lab.config.compose import compose_config, conf_dir
 
@@ -24,6 +27,22 @@ def test_help_begins_with_purpose_and_usage(command: str) -> None:
     assert examples[1].count(f"  python -m tf_lab.{command}") >= 2
     assert "README.md" in result.out.splitlines()[-1]
     assert "hydra" not in result.out.lower()
+
+
+def test_the_package_lists_its_commands(tmp_path: Path) -> None:
+    call = [sys.executable, "-m", "tf_lab"]
+    done = subprocess.run([*call, "--help"], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    listed = re.findall(r"^  python -m tf_lab\.(\w+)  +(\w.*)$", done.stdout, re.M)
+    source = [path for path in Path(tf_lab.__file__).parent.glob("[a-z]*.py")]
+    assert {n for n, _ in listed} == {p.stem for p in source if '"__main__"' in p.read_text()}
+    bare = subprocess.run(call, capture_output=True, text=True)
+    assert (bare.returncode, bare.stdout) == (2, done.stdout)
+    for word, told in [("trian", "python -m tf_lab.train"), ("foo", "no such command")]:
+        wrong = subprocess.run([*call, word], capture_output=True, text=True)
+        assert wrong.returncode == 2
+        assert told in wrong.stderr
+        assert wrong.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("command", COMMANDS)
