@@ -74,6 +74,13 @@ def test_every_command_has_a_config_that_takes_its_words(command: str) -> None:
     assert composed(module.removeprefix("tf_lab."), given)
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_shell_takes_a_word_for_a_pattern(command: str) -> None:
+    """Zsh refuses patterns that match no file."""
+    unquoted = re.sub(r"'[^']*'", "", command)
+    assert not set(unquoted) & set("[]{}*?"), unquoted
+
+
 @pytest.mark.usefixtures("any_launcher")
 @pytest.mark.parametrize(("command", "words"), SETTINGS)
 def test_every_setting_in_a_table_is_one(command: str, words: str) -> None:

@@ -4,7 +4,7 @@ python -m tf_lab.benchmark [model=paper|small|tiny] [device=auto|cpu|cuda] [widt
 
 Examples:
   python -m tf_lab.benchmark model=tiny width=160 height=120
-  python -m tf_lab.benchmark parts=[live]
+  python -m tf_lab.benchmark 'parts=[live]'
 """
 
 from tf_lab.cli.command import command

@@ -4,7 +4,7 @@ python -m tf_lab.evaluate predictions=DIR groundtruth=DIR [output=FILE.json]
 
 Examples:
   python -m tf_lab.evaluate predictions=meshes groundtruth=SCENES output=scores.json
-  python -m tf_lab.evaluate predictions=meshes groundtruth=SCENES metrics=[normals]
+  python -m tf_lab.evaluate predictions=meshes groundtruth=SCENES 'metrics=[normals]'
 """
 
 from tf_lab.cli.command import command

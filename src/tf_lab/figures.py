@@ -8,8 +8,8 @@ the ground truth), ablations, errors (in cm), room (from above and from inside),
 fscore_rows (a study's seeds: mean and deviation), runtimes.
 
 Examples:
-  python -m tf_lab.figures figures=[views,selected] input=my_video
-  python -m tf_lab.figures figures=[fscore_k,fscore_rows] runs=results/reference/runs
+  python -m tf_lab.figures 'figures=[views,selected]' input=my_video
+  python -m tf_lab.figures 'figures=[fscore_k,fscore_rows]' runs=results/reference/runs
 """
 
 from tf_lab.cli.command import command

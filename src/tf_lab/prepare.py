@@ -4,7 +4,7 @@ python -m tf_lab.prepare data=NAME data.root=DIR
 
 Examples:
   python -m tf_lab.prepare data=scannet data.root=SCANNET shards=SHARDS
-  python -m tf_lab.prepare data=flats data.test_size=12 splits=[test]
+  python -m tf_lab.prepare data=flats data.test_size=12 'splits=[test]'
 """
 
 from tf_lab.cli.command import command

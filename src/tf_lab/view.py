@@ -7,7 +7,7 @@ address and how to see it from another.
 
 Examples:
   python -m tf_lab.view input=my_video views=8
-  python -m tf_lab.view checkpoint=[A.safetensors,B.safetensors] port=8090
+  python -m tf_lab.view 'checkpoint=[A.safetensors,B.safetensors]' port=8090
 """
 
 from tf_lab.cli.command import command

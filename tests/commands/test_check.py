@@ -66,7 +66,7 @@ def test_intrinsics_of_larger_images(tmp_path: Path) -> None:
     plain.write(tmp_path / "kitchen", [replace(f, K=larger) for f in room_frames()])
     result = call("check", "input=kitchen", DOWN)
     assert result.status == 1
-    assert result.out.splitlines()[-1].endswith("wrong; to mend it: intrinsics_size=[192,144]")
+    assert result.out.splitlines()[-1].endswith("wrong; to mend it: 'intrinsics_size=[192,144]'")
 
 
 def test_images_that_cannot_be_read_are_counted_and_named(tmp_path: Path) -> None:

@@ -129,7 +129,8 @@ def explain(error: Exception, conf: Path, name: str) -> str:
         return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name)}; {more}"
     if several := re.match(r"Ambiguous value for argument '(.+)'\n", text):
         key, _, values = several.group(1).partition("=")
-        return f"{key}={values}: add -m to run each of them, or write {key}=[{values}] for a list"
+        whole = shlex.quote(f"{key}=[{values}]")
+        return f"{key}={values}: add -m to run each of them, or write {whole} for a list"
     return " ".join(text.split())
 
 

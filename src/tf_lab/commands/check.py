@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -133,5 +134,5 @@ def lines(report: Report, path: Path) -> Iterator[str]:
         )
     for finding in report.findings:
         yield f"- {finding}"
-    cure = f"; to mend it: {' '.join(report.settings)}" if report.settings else ""
+    cure = f"; to mend it: {shlex.join(report.settings)}" if report.settings else ""
     yield f"{path}: {report.verdict}{cure}"

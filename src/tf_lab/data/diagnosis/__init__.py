@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -76,5 +77,5 @@ def quick_warning(capture: Capture, settings: ReadSettings = AS_STATED) -> str |
         return None
     if report.verdict != WRONG and not scale.setting:
         return None
-    cure = f"; try {' '.join(report.settings)}" if report.settings else ""
+    cure = f"; try {shlex.join(report.settings)}" if report.settings else ""
     return f"{'; '.join(report.findings)}{cure} {MORE}"
