@@ -71,11 +71,22 @@ def test_a_bad_frame_is_skipped_and_counted(reconstruct: Callable[..., Result], 
     assert result.status == 0, result.err
     assert "keyframes of 23 frames" in result.out
     assert ", 2 frames skipped" in result.out
-    skipped = [line for line in result.out.splitlines() if line.startswith("  skipped ")]
-    assert skipped[0].startswith("  skipped 000005: the pose has NaN")
-    assert skipped[1].startswith(f"  skipped 000000: {Path('mine/images/000000.jpg')}")
+    lines = [line for line in result.out.splitlines() if "skipped" in line]
+    assert len(lines) == 3  # each frame once, and their number
+    assert lines[0].startswith(f"frame 000000 skipped: {Path('mine/images/000000.jpg')}")
+    assert lines[2].startswith("  skipped 000005: the pose has NaN")
     assert len(load(Path("a/b.ply")).faces) > 0
     assert Path("a/b.png").exists()
+
+
+def test_more_views_than_frames_are_told(reconstruct: Callable[..., Result], mine: Path) -> None:
+    for image in sorted((mine / "images").iterdir())[1:]:
+        image.write_bytes(b"")
+    result = reconstruct("input=mine", "views=1000")
+    assert result.status == 0, result.err
+    assert "mine: 1 keyframe of 24 frames" in result.out
+    assert "views=1000 of only 1 keyframe: " in result.out
+    assert "views=" not in reconstruct("input=mine", "views=1").out
 
 
 def test_memory_options_change_no_vertex(

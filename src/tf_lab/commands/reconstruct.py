@@ -30,6 +30,7 @@ from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file, file_name
 from tf_lab.support.progress import progress_bar
+from tf_lab.support.words import counted
 
 NETWORK, STEREO = METHODS = ("network", "plane_sweep")
 WRITERS: dict[str, Callable[[trimesh.Trimesh, Path], Any]] = {
@@ -63,13 +64,7 @@ def run(config: ReconstructConfig) -> None:
     mesh = decimated(mesh, config.decimate)
     with atomic_path(output) as temporary:
         WRITERS[output.suffix](mesh, temporary)
-    skipped = [*capture.skipped, *result.skipped]
-    print(
-        f"{capture.name}: {len(result.keyframes)} keyframes of {len(capture.frames)} frames "
-        f"({'x'.join(map(str, capture.size))}) in {seconds:.1f} s, {len(skipped)} frames skipped"
-    )
-    for reason in skipped[:10]:
-        print(f"  skipped {reason}")
+    _tell(capture, result, seconds, config)
     if not len(mesh.faces):
         print(f"{output}: no surface was found; the mesh is empty")
         return
@@ -99,6 +94,22 @@ def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) 
             distance, device = settings.keyframe_distance, device_of(config.device)
             return plane_sweep(capture, distance, progress=show, device=device)
         return reconstruct(network, capture, settings, show)
+
+
+def _tell(
+    capture: Capture, result: Reconstruction, seconds: float, config: ReconstructConfig
+) -> None:
+    """Print what became of the frames; what could not be read was told when it was met."""
+    keyframes, frames = counted(len(result.keyframes), "keyframe"), len(capture.frames)
+    skipped = counted(len(capture.skipped) + len(result.skipped), "frame")
+    print(
+        f"{capture.name}: {keyframes} of {counted(frames, 'frame')} "
+        f"({'x'.join(map(str, capture.size))}) in {seconds:.1f} s, {skipped} skipped"
+    )
+    for reason in capture.skipped[:10]:
+        print(f"  skipped {reason}")
+    if config.method == NETWORK and config.views > len(result.keyframes):
+        print(f"views={config.views} of only {keyframes}: each point keeps all that see it")
 
 
 def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> None:

@@ -13,6 +13,7 @@ from tf_lab.reporting.statistics import deviation
 from tf_lab.reporting.studies import Study
 from tf_lab.support.colors import BLUE, GREEN, ORANGE
 from tf_lab.support.figures import new_figure, write_figure
+from tf_lab.support.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +107,7 @@ def rows_chart(study: Study) -> Figure:
 
 def _repetitions(study: Study) -> str:
     seeds, scenes = len(study.seeds()), len(study.scenes)
-    return f"{seeds} seed{'s' * (seeds > 1)}, {scenes} test scene{'s' * (scenes > 1)}"
+    return f"{counted(seeds, 'seed')}, {counted(scenes, 'test scene')}"
 
 
 def caption_of(what: str, study: Study) -> str:

@@ -39,6 +39,7 @@ from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
+from tf_lab.support.words import counted
 
 
 class Reader(Protocol):
@@ -155,7 +156,7 @@ def _pictures(path: Path) -> str:
     for folder in (path, *_folders(path)):
         where = f" in {folder.name}/" if folder != path else ""
         if count := len(images.image_files(folder)):
-            return f"{count} image{'s' * (count > 1)}{where}"
+            return f"{counted(count, 'image')}{where}"
         if video.video_files(folder):
             return f"a video{where}"
     return ""
