@@ -87,7 +87,8 @@ def test_runs_are_seen_side_by_side(
         (("input=a", "run=b"), "give one of input=, run= and mesh="),
         (("port=70000",), "port=70000: must be at least 0 and at most 65535"),
         (("mesh=nowhere.ply", "port=0"), "nowhere.ply: cannot be read"),
-        (("run=nowhere", "port=0"), "nowhere/config.yaml"),
+        (("run=nowhere", "port=0"), "run=nowhere: no such folder; `python -m tf_lab.runs` lists"),
+        (("run=.", "port=0"), "run=.: no run, there is no config.yaml in it"),
     ],
 )
 def test_errors_are_a_line(given: tuple[str, ...], said: str) -> None:

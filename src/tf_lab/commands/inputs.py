@@ -47,6 +47,9 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     Raises:
         TFLabError: they are not on this machine.
     """
+    if not (directory / "config.yaml").exists():
+        state = "no run, there is no config.yaml in it" if directory.is_dir() else "no such folder"
+        raise TFLabError(f"run={directory}: {state}; `python -m tf_lab.runs` lists the runs")
     run: Run = read_run(directory)
     chosen = [*run.scenes] if config.scene is None else [config.scene]
     if config.scene not in (None, *run.scenes):
