@@ -91,6 +91,10 @@ def test_points_and_millimetres_are_told(published: Path) -> None:
         ((), ("is missing",)),
         (("predictions=none", "groundtruth=groundtruth"), ("none: no such folder",)),
         (("predictions=predictions", "groundtruth=predictions"), ("predictions: no scene folder",)),
+        (
+            ("predictions=predictions", "groundtruth=."),
+            (".: no ground truth in 2 folders of it, such as groundtruth", "<scene>/mesh_gt.ply"),
+        ),
     ],
 )
 def test_wrong_arguments(

@@ -10,9 +10,10 @@ from rich.progress import track
 
 from tf_lab.config.schema import EvaluateConfig
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.protocol import evaluate
+from tf_lab.evaluation.protocol import evaluate, scene_names
 from tf_lab.evaluation.scores import format_table
 from tf_lab.support.files import check_file, write_json
+from tf_lab.support.words import counted
 
 
 def run(config: EvaluateConfig) -> None:
@@ -21,6 +22,7 @@ def run(config: EvaluateConfig) -> None:
     output = Path(config.output) if config.output is not None else None
     if output is not None:
         check_file(output)
+    _check_groundtruth(groundtruth)
     bar = functools.partial(track, description="evaluating", console=Console(stderr=True))
     metrics = [*config.metrics.values()]
     result = evaluate(predictions, groundtruth, config.seed, bar, metrics)
@@ -36,3 +38,18 @@ def run(config: EvaluateConfig) -> None:
     if result["failed"]:
         reasons = "; ".join(result["failed"].values())
         raise TFLabError(f"{len(result['failed'])} scene(s) left out of the mean: {reasons}")
+
+
+def _check_groundtruth(folder: Path) -> None:
+    """That a folder holds ground truth, before anything takes long.
+
+    Raises:
+        TFLabError: no scene in it has any.
+    """
+    names = scene_names(folder)
+    if not any((folder / name / "mesh_gt.ply").exists() for name in names):
+        raise TFLabError(
+            f"{folder}: no ground truth in {counted(len(names), 'folder')} of it, such as "
+            f"{names[0]}; give the folder of <scene>/mesh_gt.ply, <scene>/occlusion_mask.npy and "
+            "<scene>/world2grid.txt"
+        )
