@@ -283,7 +283,7 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
         ("views=0", ("views=0", "must be at least 1")),
         ("seed=-1", ("seed=-1: must be at least 0",)),
         ("data.width=0", ("data.width=0: must be at least 1",)),
-        ("optimizer.steps=-3", ("optimizer.steps=-3: must be at least 1",)),
+        ("optimizer.steps=-3", ("optimizer.steps=-3: must be at least 0",)),
         ("training.images=0", ("training.images=0: must be at least 1",)),
         ("metrics=[normals,foo]", ("metrics=[normals,foo]: no foo among the metrics: normals",)),
         ("resolution=0.03", ("resolution=0.03", "must be a multiple")),

@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from helpers.tiny_jobs import TINY, Result, call, tiny_config
+from helpers.tiny_jobs import TINY, Result, call, tiny_config, told
 from tf_lab.experiments.identity import training_directory
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.support.headers import read_info
@@ -81,6 +81,22 @@ def test_from_the_weights_of_a_checkpoint(train: Train, checkpoint: Path, tmp_pa
     nothing = train(NO_TEST, *still, f"output={tmp_path}")
     assert nothing.path("training") != result.path("training")
     assert different(weights(nothing), weights(result)) != []
+
+
+def test_of_no_steps_the_weights_are_tested_as_they_are(
+    train: Train, checkpoint: Path, tmp_path: Path
+) -> None:
+    """Without any data of a training."""
+    none, rooms = "optimizer.steps=0", tmp_path / "rooms"
+    output = f"output={tmp_path / 'tested'}"
+    result = train(none, f"init={checkpoint}", output, f"data.root={rooms}")
+    assert (result.status, result.err) == (0, "")
+    assert different(weights(result), load_file(checkpoint)) == []
+    assert (result.path("run") / "metrics.json").exists()
+    assert [path.name for path in rooms.glob("*/*")] == ["test"]
+    told(train(none, output), "optimizer.steps=0", "give init=")
+    state = train(NO_TEST, "optimizer.steps=2", output).path("training") / "last.ckpt"
+    told(train(none, f"init={state}", output), f"init={state}: is at step 2")
 
 
 @pytest.mark.usefixtures("outputs")

@@ -41,7 +41,7 @@ def config() -> TrainConfig:
         ("optimizer.lr", 3e38),  # Adam divides it by 1 - beta: no number in float32
         ("optimizer.eps", 1e-300),
         ("training.sdf_weight", 1e19),
-        ("optimizer.steps", 0),
+        ("optimizer.steps", -1),
         ("optimizer.betas", (0.9, 1.0)),
         ("training.chunks", 0),
         ("training.images", 0),

@@ -15,6 +15,7 @@ from tf_lab.config.build import capture_settings, check_network, ready
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import portable_config, write_config
 from tf_lab.data.sources.source import open_source
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 from tf_lab.experiments.launcher import SweepJobs
@@ -130,7 +131,7 @@ def train(config: TrainConfig) -> Path:
     checkpoint = directory / "model.safetensors"
     with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
-            _train(config, directory, checkpoint)
+            (_train if config.optimizer.steps else _take)(config, directory, checkpoint)
         elif not is_helper():
             print_reuse("training", directory)
     return checkpoint
@@ -176,6 +177,18 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         origin = {**sessions.summary(), **_scenes(config, "train")}
         info = {"training": {**origin, "config": portable_config(config)}}
         save_network(network, checkpoint, info)
+
+
+def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
+    """A training of no steps: the weights that it would start from, and none of its data."""
+    if not config.init:
+        raise TFLabError("optimizer.steps=0: tests the weights that init= names; give init=")
+    _start(config, directory)
+    network = make_network(config)
+    if not is_helper():
+        write_config(config, directory / "config.yaml")
+        info = {**TrainingSessions().summary(), "config": portable_config(config)}
+        save_network(network, checkpoint, {"training": info})
 
 
 def _start(config: TrainConfig, directory: Path) -> Path | None:

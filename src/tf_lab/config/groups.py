@@ -79,9 +79,10 @@ class OptimizerSettings:
     )
     warmup: int = setting(about="steps of linear warm-up", shapes="weights", least=0)
     steps: int = setting(
-        about="in all; more: inverse_sqrt goes on from a finished training, the others by init=",
+        about="in all; 0: only test what init= names; more: inverse_sqrt goes on from a finished "
+        "training, the others by init=",
         shapes="weights",
-        least=1,
+        least=0,
     )
     clip: float = setting(about="largest gradient norm; 0: any", shapes="weights", least=0)
     encoder_factor: float = setting(
