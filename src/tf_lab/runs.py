@@ -18,6 +18,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from tf_lab.cli.command import print_anything
 from tf_lab.errors import TFLabError
@@ -37,6 +38,8 @@ from tf_lab.support.stops import stoppable
 from tf_lab.support.tables import NOTHING, aligned
 from tf_lab.support.text import read_text
 
+USAGE = (__doc__ or "").splitlines()[2]
+
 
 def main() -> None:
     """List, show or remove."""
@@ -48,7 +51,7 @@ def main() -> None:
 def _main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tf_lab.runs",
-        usage=__doc__.splitlines()[2],
+        usage=USAGE,
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -57,12 +60,13 @@ def _main() -> None:
     parser.add_argument("--output", type=_folder, default=Path("outputs"), metavar="DIR")
     parser.add_argument("--dry-run", action="store_true")
     words = [f"--{word}" if word.startswith("output=") else word for word in sys.argv[1:]]
-    given = parser.parse_intermixed_args(words)
-    if bool(given.names) == (given.action == "list"):
-        parser.error(f"{given.action}: " + ("takes no NAME" if given.names else "of which NAME?"))
-    if given.dry_run and given.action != "rm":
-        parser.error(f"{given.action}: takes no --dry-run")
+    parser.error = _refuse  # type: ignore[method-assign]
     try:
+        given = parser.parse_intermixed_args(words)
+        if bool(given.names) == (given.action == "list"):
+            _refuse(f"{given.action}: " + ("takes no NAME" if given.names else "of which NAME?"))
+        if given.dry_run and given.action != "rm":
+            _refuse(f"{given.action}: takes no --dry-run")
         if given.action == "list":
             print(listing(given.output))
         entries = [find(given.output, name) for name in given.names]
@@ -75,6 +79,11 @@ def _main() -> None:
     except (TFLabError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def _refuse(message: str) -> NoReturn:
+    """What is wrong with the command line, in one line."""
+    raise TFLabError(f"{message}; usage: {USAGE}")
 
 
 def _folder(path: str) -> Path:
@@ -127,7 +136,8 @@ def _start(entry: Entry) -> list[str]:
 
 def details(entry: Entry) -> str:
     """All that is known of a training or an evaluation."""
-    lines = [f"{entry.directory}: {entry.label}, {', '.join(_start(entry)[1:])}"]
+    known_of_it = filter(None, [entry.label, *_start(entry)[1:]])
+    lines = [f"{entry.directory}: {', '.join(known_of_it)}"]
     metrics = read_metrics(entry.directory) if entry.state == "finished" else None
     if metrics is not None:
         rows = [*metrics.scenes.items(), (metrics.label, metrics.mean)]

@@ -52,7 +52,7 @@ def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     assert "  finished  " in finished
     assert commits_of([{"commit": commit()}])[:9] in finished
     assert finished.endswith("  Ours / 0")
-    assert "  step 3 of 5" in rows.pop("half")
+    assert "  unfinished at step 3 of 5" in rows.pop("half")
     assert "  unfinished" in rows.pop("begun")
     assert "  damaged" in rows.pop("broken")
     assert not rows
@@ -139,7 +139,8 @@ def test_what_is_in_use_is_not_removed(mine: Path, main_job: Result) -> None:
         (("--output", "nowhere"), "error: nowhere: no trainings or evaluations in it"),
         (("output=nowhere",), "error: nowhere: no trainings or evaluations in it; give output=DIR"),
         (("show", "--dry-run", "x"), "show: takes no --dry-run"),
-        (("list", "x"), "usage: python -m tf_lab.runs [list | show NAME... | rm"),
+        (("list", "x"), "; usage: python -m tf_lab.runs [list | show NAME... | rm"),
+        (("lsit",), "error: argument action: invalid choice: 'lsit'"),
         (("rm",), "rm: of which NAME?"),
         (("list", "x"), "list: takes no NAME"),
     ],
@@ -149,6 +150,14 @@ def test_bad_words(arguments: tuple[str, ...], expected: str) -> None:
     result = call("runs", *arguments)
     assert result.status == 2
     assert expected in result.err
+    assert result.err.startswith("error: ") and result.err.count("\n") == 1
+
+
+def test_what_is_known_of_an_unfinished_one(mine: Path) -> None:
+    torch.save({"global_step": 3}, unfinished(mine, "half") / "last.ckpt")
+    first = call("runs", "show", "half").out.splitlines()[0]
+    row = "Ours: w/o TRSF, avg / 1"
+    assert first == f"outputs/trainings/half: {row}, unfinished at step 3 of 5"
 
 
 def test_as_a_process(mine: Path) -> None:

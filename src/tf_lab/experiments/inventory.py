@@ -18,6 +18,7 @@ from tf_lab.support.locks import lock_holder
 
 T = TypeVar("T")
 TRAININGS, RUNS = "trainings", "runs"
+UNFINISHED = "unfinished"
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Entry:
 
     Attributes:
         directory: where it lies.
-        state: "finished", "damaged", "unfinished", or how far a training is.
+        state: "finished", "damaged", or `UNFINISHED`, of a training with how far it is.
         user: the process that works on it; None: nobody.
         config: its config; None if that cannot be read.
         origin: its provenance; empty unless it is finished (an evaluation: begun).
@@ -84,9 +85,9 @@ def _training(directory: Path) -> Entry:
             import torch  # slow to import, and only here needed
 
             step = torch.load(last, map_location="cpu", mmap=True, weights_only=True)["global_step"]
-            state = f"step {step} of {config.optimizer.steps}"
+            state = f"{UNFINISHED} at step {step} of {config.optimizer.steps}"
         else:
-            state = "unfinished"
+            state = UNFINISHED
     except Exception as error:  # any damage
         state = "damaged"
         problems.append(str(error) if isinstance(error, TFLabError) else f"{last}: damaged")
@@ -99,7 +100,7 @@ def _run(directory: Path) -> Entry:
     bad = len(problems)  # of which a run of another version is none the worse
     origin = _read(lambda path: origin_of(path.parent), directory / "run.json", problems) or {}
     metrics = _read(lambda path: read_metrics(path.parent), directory / "metrics.json", problems)
-    state = "damaged" if problems[bad:] else "finished" if metrics and origin else "unfinished"
+    state = "damaged" if problems[bad:] else "finished" if metrics and origin else UNFINISHED
     fscore = metrics.mean.get("fscore") if metrics else None
     user = lock_holder(directory)
     return Entry(directory, state, user, config, origin, fscore, tuple(problems))
