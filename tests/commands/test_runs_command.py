@@ -160,6 +160,24 @@ def test_what_is_known_of_an_unfinished_one(mine: Path) -> None:
     assert first == f"outputs/trainings/half: {row}, unfinished at step 3 of 5"
 
 
+def test_a_report_while_the_first_training_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody is sent into a sweep of hours for what only has to be waited for."""
+    monkeypatch.chdir(tmp_path)
+    assert "sweep=main_ablation" in call("report").err
+    (tmp_path / "outputs" / "trainings").mkdir(parents=True)
+    half = unfinished(tmp_path / "outputs", "half")
+    torch.save({"global_step": 3}, half / "last.ckpt")
+    result = call("report")
+    assert result.status == 2
+    assert "outputs/trainings/half is unfinished at step 3 of 5: the command that" in result.err
+    with directory_lock(half, "training"):
+        result = call("report")
+    assert "works on it): report when it ends" in result.err
+    assert "sweep" not in result.err
+
+
 def test_as_a_process(mine: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tf_lab.runs", f"output={mine}"], capture_output=True, text=True

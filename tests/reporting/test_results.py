@@ -115,7 +115,7 @@ def test_damaged_runs_are_named_and_left_out(
 
 def test_no_run_at_all(tmp_path: Path) -> None:
     with pytest.raises(
-        TFLabError, match=r"no finished run in .*; run: python -m tf_lab\.train sweep="
+        TFLabError, match=r"no finished run in .*; run: python -m tf_lab\.train .*sweep="
     ):
         find_runs([tmp_path])
     with pytest.raises(TFLabError, match="no such folder"):

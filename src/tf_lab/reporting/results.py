@@ -11,6 +11,7 @@ from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config, write_config
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import Metrics, Scores, mean_scores
+from tf_lab.experiments import inventory
 from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
 from tf_lab.experiments.provenance import Origin, without_places
 from tf_lab.experiments.reuse import removal, sessions_of
@@ -62,7 +63,7 @@ def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
     folders = list(folders)
     for folder in folders:
         if not folder.is_dir():
-            raise TFLabError(f"{folder}: there is no such folder; {_HINT}")
+            raise TFLabError(f"{folder}: there is no such folder; {_what_to_do(folders)}")
         for path in sorted(folder.rglob("metrics.json")):
             try:
                 runs.append(read_run(path.parent))
@@ -70,11 +71,25 @@ def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
                 damaged.append(f"left out: {error}")
     if not runs:
         names = ", ".join(str(folder) for folder in folders)
-        raise TFLabError("; ".join([f"no finished run in {names}", *(damaged or [_HINT])]))
+        cures = damaged or [_what_to_do(folders)]
+        raise TFLabError("; ".join([f"no finished run in {names}", *cures]))
     return runs, damaged
 
 
-_HINT = "run: python -m tf_lab.train sweep=main_ablation"
+def _what_to_do(folders: Iterable[Path]) -> str:
+    """Where no run is finished: wait for what is begun, go on with it, or begin."""
+    outputs = dict.fromkeys(output for folder in folders for output in (folder, folder.parent))
+    entries = [e for o in outputs for e in (*inventory.find_trainings(o), *inventory.find_runs(o))]
+    begun = [entry for entry in entries if entry.state.startswith(inventory.UNFINISHED)]
+    if not begun:
+        return (
+            "run: python -m tf_lab.train (one run, in minutes), or with sweep=main_ablation (the "
+            "paper's table, in hours)"
+        )
+    first = min(begun, key=lambda entry: entry.user is None)
+    if first.user:
+        return f"{first.directory} is {first.state} ({first.user} works on it): report when it ends"
+    return f"{first.directory} is {first.state}: the command that began it goes on from there"
 
 
 def read_run(directory: Path) -> Run:
