@@ -1,5 +1,7 @@
 """Progress on a terminal and in a log."""
 
+import time
+
 import numpy as np
 import pytest
 from rich.progress import Progress
@@ -10,16 +12,26 @@ from tf_lab.support import progress
 def test_a_log_gets_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = 1000.0
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
+    """Also while nothing gets done, as in the minutes that a scene takes."""
+    monkeypatch.setattr(progress, "FIRST", 0.05)
+    monkeypatch.setattr(progress, "EVERY", 0.3)
     with progress.progress_bar() as bar:
-        task = bar.add_task("train", total=100)
-        for step in range(1, 101):
-            now += 2
-            bar.update(task, completed=step, description=f"train loss {1 / step:.2f}")
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split(" ")[2] for line in lines] == ["0.03", "0.02", "0.01", "0.01"]
-    assert [line.split()[4] for line in lines] == ["30/100", "60/100", "90/100", "100/100"]
+        task = bar.add_task("rendering", total=9)
+        time.sleep(0.2)
+        bar.advance(task, 4)
+        time.sleep(0.3)
+        bar.advance(task, 5)
+    counts = [line.split()[-4] for line in capsys.readouterr().out.splitlines()]
+    assert (counts[0], counts[-1]) == ("0/9", "9/9")
+    assert "4/9" in counts
+
+
+def test_what_is_done_at_once_has_one_line_in_a_log(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress.progress_bar() as bar:
+        for _ in bar.track(range(3), description="drawing"):
+            pass
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "3/3" in line
 
 
 def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
+import threading
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -14,30 +14,41 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     Task,
-    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.text import Text
 
-EVERY = 60.0  # seconds between the lines in a log
+FIRST, EVERY = 2.0, 60.0  # seconds to the first line in a log, and between the others
 RECENT = 30.0  # seconds of which the pace is taken
 
 
 class _Lines(Progress):
-    """A progress bar for logs: a line now and then instead of one that is drawn again."""
+    """A progress bar for logs: a line soon and then now and then, whether or not anything is done.
+
+    What ends before the first of them has its last line only.
+    """
 
     def __init__(self, *columns: Any) -> None:
-        super().__init__(*columns, console=Console(width=120))
-        self.last = time.monotonic()
+        super().__init__(*columns, console=Console(width=120), auto_refresh=False)
+        self._ended = threading.Event()
 
-    def update(self, task_id: TaskID, *args: Any, **changes: Any) -> None:
-        """Print a line if the last one is long ago."""
-        super().update(task_id, *args, **changes)
-        if time.monotonic() - self.last >= EVERY:
-            self.last = time.monotonic()
+    def start(self) -> None:
+        """Begin to print."""
+        super().start()
+        threading.Thread(target=self._print, daemon=True).start()
+
+    def stop(self) -> None:
+        """Print the last line."""
+        self._ended.set()
+        super().stop()
+
+    def _print(self) -> None:
+        wait = FIRST
+        while not self._ended.wait(wait):
             self.console.print(self.get_renderable())
+            wait = EVERY
 
 
 class _TimeLeft(TimeRemainingColumn):
