@@ -107,6 +107,13 @@ def test_the_same_settings_give_the_same_key() -> None:
     assert keys(composed("seed=0", "views=16", "fusion=transformer")) == keys(DEFAULT)
 
 
+def test_a_key_does_not_depend_on_the_order_of_settings() -> None:
+    """Those of a file that is read come in another than those of a command line."""
+    key = key_of({"lr": 1, "seed": {"a": 0, "b": 2}})
+    assert key == key_of({"seed": {"b": 2, "a": 0}, "lr": 1})
+    assert len(key) == 10  # the directories that people have are called by so many
+
+
 def test_the_lists_name_settings_that_exist() -> None:
     assert {*TEST_TIME, *NEITHER} <= set(leaves(asdict(DEFAULT)))
 
@@ -228,6 +235,21 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
 
 
 @pytest.mark.parametrize(
+    ("overrides", "name"),
+    [
+        ("inputs=no_depth", "no_depth"),
+        ("inputs=no_ray", "no_ray"),
+        ("encoder=efficientnet_lite0", "efficientnet_lite0"),
+        ("refine=false", "no_refine"),
+        ("filter=false", "no_filter"),
+    ],
+)
+def test_directories_say_what_differs(overrides: str, name: str) -> None:
+    for directory in (training_directory, run_directory):
+        assert directory(composed(overrides)).name.startswith(f"tiny-{name}-")
+
+
+@pytest.mark.parametrize(
     ("overrides", "label"),
     [
         # tables 1 and 2 of the paper, to the letter
@@ -245,6 +267,7 @@ def test_directories_lie_in_the_output_and_say_what_they_are() -> None:
         ("inputs=no_ray", "Ours: w/o view ray"),
         # ours, not the paper's
         ("inputs=matching", "Ours: + matching"),
+        ("fusion=gru fusion.layers=3", "Ours: w/o TRSF, GRU (ours) layers=3"),
         # all rows of a study have the same encoder
         ("encoder=efficientnet_lite0 fusion=avg", "Ours: w/o TRSF, avg"),
         ("select=diverse views=4", "Ours: 4 images, diverse (ours)"),

@@ -27,6 +27,8 @@ from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
 from tf_lab.network.chunks import Views
+from tf_lab.network.refinement import ResidualBlock3d
+from tf_lab.online.lattice import sparse
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views.selection import (
     AttentionSelection,
@@ -210,6 +212,15 @@ def test_sparse_equals_dense(
     torch.testing.assert_close(
         found.fine[(slice(None), *inner)], volumes.fine, atol=1e-4, rtol=1e-4
     )
+
+
+def test_no_voxels_are_convolved_to_none(tiny_network: Factory) -> None:
+    """A chunk where all that is seen is still to be fused has none."""
+    (block, *_) = tiny_network().refinement.fine_blocks
+    assert isinstance(block, ResidualBlock3d)
+    width = block.conv1.in_channels
+    nothing = sparse.convolve(block.conv1, torch.zeros(0, width), torch.zeros(0, 27).long())
+    assert nothing.shape == (0, width)
 
 
 def test_parts_fit_without_a_seam(tiny_network: Factory, scene: Scene) -> None:

@@ -88,4 +88,4 @@ class Decoder:
 
 def _rows(values: Tensor, index: Tensor) -> Tensor:
     """Values [N, C] at an index [V, 27]: [V, 27, C]. On a CPU faster than ``values[index]``."""
-    return values.index_select(0, index.flatten()).view(*index.shape, -1)
+    return values.index_select(0, index.flatten()).view(*index.shape, values.shape[1])

@@ -51,8 +51,8 @@ def convolve(conv: nn.Conv3d, x: Tensor, table: Tensor) -> Tensor:
         table = table[:, 13:14]
     x = F.pad(x, (0, 0, 0, 1))
     batch = max(1, GATHER.get(x.device.type, GATHER["cpu"]) // weight.shape[0])
-    around = (x.index_select(0, part.flatten()).view(len(part), -1) for part in table.split(batch))
-    out = [F.linear(features, weight.T, conv.bias) for features in around]
+    parts = (x.index_select(0, p.flatten()).view(len(p), len(weight)) for p in table.split(batch))
+    out = [F.linear(features, weight.T, conv.bias) for features in parts]
     return torch.cat(out) if out else x.new_zeros(0, weight.shape[1])
 
 
