@@ -11,13 +11,14 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
-from tf_lab.online.views import make_policy
+from tf_lab.online.views import make_policy, selection
 from tf_lab.online.views.selection import (
     AttentionSelection,
     Candidates,
     DiverseSelection,
     RandomSelection,
     angle_to_nearest,
+    gumbel,
     slots,
     uniform,
 )
@@ -54,6 +55,12 @@ def test_attention_drops_the_lowest_weight() -> None:
     for seen, expected in (([4, 17], [1, 0]), ([0, 3], [0, 3])):  # full slots, and some empty
         candidates = Candidates(torch.tensor(seen), frames, weights[..., None].log())
         assert slots(AttentionSelection(), candidates).tolist() == expected
+    policy = DiverseSelection(0, attention=0)
+    new_is_worst = torch.tensor([[1.0, 1, 1, 1, 0]])
+    candidates = Candidates(
+        torch.tensor([9]), frames[:1], torch.zeros(1, 5, 1), chance=new_is_worst
+    )
+    assert slots(policy, candidates).tolist() == [-1]
 
 
 def test_of_equal_weights_the_first_goes() -> None:
@@ -164,6 +171,45 @@ def test_fewer_frames_than_slots_are_all_kept() -> None:
     assert held.tolist() == [[-1, 0, 1, 2]] * 5
 
 
+# what Vigna's splitmix64.c gives for a seed of 1234567, one after the other
+SPLITMIX64 = (6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431)
+ODD, WRAP = 0x9E3779B97F4A7C15, 1 << 64
+
+
+def splitmix64(x: int) -> int:
+    """The next number of a state, by whole numbers without end."""
+    x = (x + ODD) % WRAP
+    x = ((x ^ x >> 30) * 0xBF58476D1CE4E5B9) % WRAP
+    x = ((x ^ x >> 27) * 0x94D049BB133111EB) % WRAP
+    return x ^ x >> 31
+
+
+def test_the_hash_is_splitmix64() -> None:
+    states = [(1234567 + i * ODD) % WRAP for i in range(4)]
+    assert tuple(map(splitmix64, states)) == SPLITMIX64
+    signed = torch.from_numpy(np.array(states, np.uint64).view(np.int64))
+    assert selection._mix(signed).numpy().view(np.uint64).tolist() == list(SPLITMIX64)
+
+
+def test_uniform_numbers_are_52_bits_of_all_words() -> None:
+    keys, counter = lattice(40), torch.arange(40) * 7
+    for seed, key, count, found in zip(
+        range(40), keys.tolist(), counter.tolist(), range(40), strict=True
+    ):
+        state = seed % WRAP
+        for word in (*key, count):
+            state = splitmix64(state ^ splitmix64((word + 0x632BE59B) % WRAP))
+        draw = uniform(seed, keys[found : found + 1], counter[found : found + 1])
+        assert draw.item() == (state >> 11) % (1 << 52) / (1 << 52)
+
+
+def test_gumbel_variates_are_finite_at_both_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = torch.tensor([0.0, 1 - 2**-52], dtype=torch.float64)
+    monkeypatch.setattr(selection, "uniform", lambda *_: ends)
+    low, high = gumbel(0, lattice(2), torch.zeros(2, 2).long()).tolist()
+    assert -3 < low < -2 and 15 < high < 17  # -log(-log(1e-7)), and its mirror image
+
+
 def test_uniform_numbers_lie_in_the_unit_interval() -> None:
     draw = uniform(3, lattice(20_000), torch.arange(20_000))
     assert draw.min() >= 0
@@ -225,7 +271,7 @@ def test_of_two_directions_alike_one_is_dropped() -> None:
     """As soon as directions are all that counts, whatever the new view is."""
     angles = torch.tensor([[0.0, 1.0, 1.01, 2.0], [0.5, 1.5, 2.5, 2.51]])
     centers = torch.stack([angles.cos(), angles.sin(), torch.zeros_like(angles)], -1)
-    policy = DiverseSelection(0, attention=0, spread=1e3)
+    policy = DiverseSelection(0, attention=0, spread=0.5)
     candidates = Candidates(
         torch.tensor([7, 7]),
         torch.arange(4).expand(2, 4),
@@ -250,6 +296,14 @@ def test_the_closer_of_close_directions_is_dropped() -> None:
         torch.zeros(1, 3),
     )
     assert DiverseSelection(0, attention=0, spread=1e3).drop(candidates).item() in (0, 1)
+
+
+def test_angles_of_the_same_and_the_opposite_direction_are_numbers() -> None:
+    """However the cosine is rounded."""
+    one = torch.randn(3000, 1, 3, generator=torch.Generator().manual_seed(0))
+    for other, angle in ((one * 3, 0.0), (-one / 7, np.pi)):
+        found = angle_to_nearest(torch.cat([one, other], 1)) - 0.05
+        torch.testing.assert_close(found, torch.full((3000, 2), angle), atol=1e-3, rtol=0)
 
 
 def test_angles_to_the_nearest_other_direction() -> None:
