@@ -29,7 +29,10 @@ class DiverseSettings:
 
     policy: str = setting("diverse", POLICY, shapes="scores")
     attention: float = setting(
-        0.3, "share of the attention logits; 0: none", shapes="scores", least=0
+        1.0,
+        "share of the attention logits; 0: chance alone, 1: views are drawn by their weights",
+        shapes="scores",
+        least=0,
     )
     spread: float = setting(
         0.0, "share of the log angle to the nearest other view; 0: none", shapes="scores", least=0
