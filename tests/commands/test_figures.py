@@ -53,6 +53,15 @@ def test_points_that_are_none(points: str) -> None:
     assert result.err.startswith("error: points=") and "give [[x,y,z],...], metres" in result.err
 
 
+@pytest.mark.parametrize("given", ["run", "input"])
+def test_what_is_not_there_is_not_replaced_by_another_study(given: str, tmp_path: Path) -> None:
+    write_study(tmp_path, dict.fromkeys(ROWS, 0.5))
+    done = call("figures", f"{given}=nowhere", f"runs={tmp_path / 'runs'}", f"output={tmp_path}")
+    assert done.status == 2
+    assert "nowhere" in done.err and len(done.err.splitlines()) == 1
+    assert not [*tmp_path.glob("*.pdf")]
+
+
 def test_points_may_be_whole_numbers() -> None:
     """What is wrong here is the input, which is looked at after the points."""
     result = call("figures", "figures=[selected]", "points=[[1,0.5,1]]", "input=/nowhere")

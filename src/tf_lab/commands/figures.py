@@ -46,7 +46,10 @@ def run(config: FiguresConfig) -> None:
     output = Path(config.output)
     check_folder(output)
     with Workbench(config) as bench:
-        files, left_out = draw_figures(config.figures, bench.material(), output)
+        material = bench.material()
+        if config.input is not None or config.run is not None:
+            bench.check()  # where it is wrong, other figures are no answer
+        files, left_out = draw_figures(config.figures, material, output)
     if not files:
         raise TFLabError("; ".join(left_out))
     print(*left_out, f"{output}: {', '.join(path.name for path in files)}", sep="\n")
@@ -122,6 +125,10 @@ class Workbench:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
+
+    def check(self) -> None:
+        """Open the input. Raises TFLabError: it cannot be."""
+        assert self._input
 
     def material(self) -> Material:
         """All of it: of the study's meshes, unless an input, run or checkpoint is given."""

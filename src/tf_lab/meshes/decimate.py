@@ -20,7 +20,7 @@ def check_share(share: float) -> None:
         TFLabError: fast-simplification is not installed.
     """
     if share < 1 and find_spec("fast_simplification") is None:
-        raise TFLabError("decimate= needs fast-simplification: pip install it")
+        raise TFLabError("decimate= needs fast-simplification: pip install -e '.[decimate]'")
 
 
 def at_most(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:

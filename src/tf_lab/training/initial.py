@@ -30,6 +30,7 @@ from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.state import read_state
 
 SHIPPED = "shipped"
+SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=matching"  # that it was trained with
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
 OPTIMIZER = "optimizer"  # among the hyperparameters of a state
 
@@ -96,10 +97,9 @@ def initialise(network: Network, path: Path) -> None:
         theirs, state = other.config, other.state_dict()
     misfit = _misfit(_plain(asdict(theirs)), _plain(asdict(network.config)))
     if misfit:
-        raise TFLabError(
-            f"init={path}: of another network: {misfit}; give the settings that it was trained "
-            "with, such as model.heads=1 (conf/model, conf/inputs, conf/row)"
-        )
+        cure = "the settings that it was trained with (config.yaml beside it)"
+        cure = SHIPPED_SETTINGS if path == shipped_checkpoint() else cure
+        raise TFLabError(f"init={path}: of another network: {misfit}; give {cure}")
     if state is not None:
         network.load_state_dict(state)
 
