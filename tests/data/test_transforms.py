@@ -67,7 +67,7 @@ def test_the_folder_and_the_file_are_the_same_capture(tmp_path: Path) -> None:
     np.testing.assert_array_equal(a.world_T_cam, b.world_T_cam)
     (folder / "transforms.json").rename(folder / "other.json")
     assert open_capture(folder / "other.json", LEVEL).frames == ["0"]
-    with pytest.raises(TFLabError, match="no poses"):
+    with pytest.raises(TFLabError, match="3 images in images/, but no camera poses"):
         open_capture(folder)
 
 

@@ -91,7 +91,10 @@ def test_one_line_and_the_shells_status(
     pipe = tmp_path / "alive"
     os.mkfifo(pipe)
     process = subprocess.Popen(
-        [sys.executable, "-c", STOPPABLE, str(pipe), work], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", STOPPABLE, str(pipe), work],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup ignores it for all
     )
     with pipe.open() as alive:
         assert alive.readline() == "begun\n"
