@@ -141,8 +141,8 @@ def _why_unknown(path: Path) -> str:
         return (
             f"{found}, but no camera poses; find them by COLMAP or nerfstudio, or film with an app "
             "that records them (docs/own_video.md says how); poses of your own go into poses.txt "
-            "(a camera-to-world matrix a line) and K.txt beside the video or images/ (docs/data.md); "
-            "if it is of a known layout, format=NAME says which of its files is missing"
+            "(a camera-to-world matrix a line) and K.txt beside the video or images/ "
+            "(docs/data.md); of a known layout, format=NAME says which of its files is missing"
         )
     layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
     empty = path.is_dir() and not any(path.iterdir())
