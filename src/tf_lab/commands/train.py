@@ -155,7 +155,7 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     def data() -> SceneDataModule:  # once nothing more is wrong with the settings
         if not is_helper():
             write_config(config, directory / "config.yaml")
-        train = source.chunks(t.chunk, config.model.near, config.model.far)
+        train = source.chunks(t.chunk, config.model.near, config.model.far, config.inputs.stereo)
         val = [*source.scenes("val")["val"].values()]
         return SceneDataModule(train, val, config.seed, config.trainer.workers)
 

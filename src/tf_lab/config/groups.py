@@ -32,6 +32,12 @@ class InputSettings:
     matching: bool = setting(
         False, "how the kept views' features compare at the point", shapes="weights"
     )
+    stereo: bool = setting(
+        False,
+        "where the point is to the depth that stereo with earlier frames finds",
+        shapes="weights",
+        absent=False,
+    )
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from torch.utils.data import IterableDataset
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, ChunkRecord, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
-from tf_lab.data.settings import ChunkSettings
+from tf_lab.data.settings import CameraNoise, ChunkSettings
 from tf_lab.data.steps import own_steps
+from tf_lab.data.stereo_maps import read_stereo
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import (
     CHUNK,
@@ -48,6 +49,7 @@ class ChunkScene:
     def __init__(self, directory: Path) -> None:
         self.scene = Scene(directory)
         self.truth = GroundTruth(self.scene.groundtruth)
+        self._stereo: np.ndarray | None = None
         self.K = torch.from_numpy(self.scene.K).float()
         self.world_T_cam = torch.from_numpy(self.scene.world_T_cam)
         self.cam_T_world = invert_pose(self.world_T_cam)
@@ -65,6 +67,12 @@ class ChunkScene:
         chunk_T_world[:3, :3] = rotation_about_z(angle)
         chunk_T_world[:3, 3] = CHUNK / 2 - chunk_T_world[:3, :3] @ torch.from_numpy(center)
         return chunk_T_world
+
+    def stereo(self, noise: CameraNoise, frames: np.ndarray) -> Tensor:
+        """Depth maps float16 [V, 2, h, w] of frames [V]. Raises TFLabError: there are none."""
+        if self._stereo is None:
+            self._stereo = read_stereo(self.scene, noise)
+        return torch.from_numpy(self._stereo[frames])
 
     def coverage(self, world_T_chunk: Tensor, near: float, far: float) -> np.ndarray:
         """The share [N] of a chunk that each frame sees, between two depths in metres."""
@@ -111,17 +119,23 @@ class ChunkSampler:
         scenes: scene directories with ground truth.
         settings: how to draw.
         near, far: valid depth range, metres.
+        stereo: whether the images' depth maps are wanted, which `write_stereo` has written.
     """
 
     def __init__(
-        self, scenes: Sequence[Path], settings: ChunkSettings, near: float, far: float
+        self,
+        scenes: Sequence[Path],
+        settings: ChunkSettings,
+        near: float,
+        far: float,
+        stereo: bool = False,
     ) -> None:
         if not scenes:
             raise TFLabError(
                 "there is no training scene; data.size is 0, or all scenes are for val and test"
             )
         self.scenes, self.settings = list(scenes), settings
-        self.near, self.far = near, far
+        self.near, self.far, self.stereo = near, far, stereo
 
     def stream(self, seed: int, first_step: int, rank: int, world: int) -> ChunkStream:
         """See `ChunkSource`."""
@@ -172,6 +186,7 @@ class ChunkSampler:
             fine_target=fine.view(FINE_GRID.shape) < FINE,
             points=points,
             sdf=truth.signed_distance(transform(to_world, points)),
+            stereo=opened.stereo(s.camera_noise, chosen) if self.stereo else None,
         )
 
 

@@ -38,7 +38,8 @@ class ChunkRecord:
         frames: names of the images, V or more.
         size: (width, height) of the images.
         images: JPEG files, byte by byte as the scene stores them.
-        K, world_T_cam, coarse_target, fine_target, points, sdf: as in `ChunkBatch`, without B.
+        K, world_T_cam, coarse_target, fine_target, points, sdf, stereo: as in `ChunkBatch`, without
+            B.
     """
 
     scene: str
@@ -51,6 +52,7 @@ class ChunkRecord:
     fine_target: Tensor
     points: Tensor
     sdf: Tensor
+    stereo: Tensor | None = None
 
     def decode(self, chosen: Sequence[int], images: np.ndarray) -> None:
         """Decode some of the images into an array, uint8 [V, 3, H, W].
@@ -85,6 +87,7 @@ class ChunkBatch:
         keep: K_t, views a voxel keeps; 0: all images, valid or not.
         rule: the policy of view selection that chooses them.
         scenes: B names, of which the chunks are.
+        stereo: float16 [B, V, 2, h, w], the images' depth maps (`tf_lab.stereo.depth`), if wanted.
     """
 
     images: Tensor
@@ -99,6 +102,7 @@ class ChunkBatch:
     keep: int
     rule: str
     scenes: Sequence[str] = ()
+    stereo: Tensor | None = None
 
     def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
         """The batch on another device (Lightning calls this)."""
@@ -171,6 +175,7 @@ def make_batch(
         keep=keep,
         rule=rule,
         scenes=[PurePosixPath(r.scene).name for r in records],
+        stereo=_stacked([None if r.stereo is None else r.stereo[v] for r, v in views]),
     )
 
 
@@ -181,6 +186,12 @@ def _disturbed(
     noise = share_of(noise, rng.uniform())
     wrong = disturb_cameras(K.numpy(), world_T_cam.numpy(), noise, rng)
     return torch.from_numpy(wrong[0]), torch.from_numpy(wrong[1])
+
+
+def _stacked(parts: Sequence[Tensor | None]) -> Tensor | None:
+    """All of them, if all are there."""
+    there = [part for part in parts if part is not None]
+    return torch.stack(there) if len(there) == len(parts) else None
 
 
 def _times(names: Sequence[str]) -> Tensor:

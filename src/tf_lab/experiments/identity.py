@@ -65,6 +65,7 @@ def row_label(config: TrainConfig) -> str:
     parts += [] if config.inputs.depth else ["w/o projected depth"]
     parts += [] if config.inputs.ray else ["w/o view ray"]
     parts += ["+ matching"] if config.inputs.matching else []
+    parts += ["+ stereo"] if config.inputs.stereo else []
     if config.views != PAPER_VIEWS or policy.name != "attention":
         label = [] if policy.name == "attention" else [policy.label or policy.name]
         selected = " ".join([*label, *_hyper(config.select)])
@@ -79,6 +80,7 @@ def _changes(config: TrainConfig) -> list[str]:
     names += [] if config.inputs.depth else ["no_depth"]
     names += [] if config.inputs.ray else ["no_ray"]
     names += ["matching"] if config.inputs.matching else []
+    names += ["stereo"] if config.inputs.stereo else []
     names += [] if encoder == "resnet" else [encoder]
     names += [] if config.refine else ["no_refine"]
     names += [] if config.filter else ["no_filter"]

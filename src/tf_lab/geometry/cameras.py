@@ -88,21 +88,21 @@ def pixel_directions(K: Tensor, size: tuple[int, int]) -> Tensor:
     return pixels @ torch.linalg.inv(K).transpose(-1, -2)
 
 
-def sample_maps(maps: Tensor, uv: Tensor, size: tuple[int, int]) -> Tensor:
-    """Bilinear samples of feature maps [N, C, h, w] at image pixels [N, P, 2]: [N, P, C].
+def sample_maps(maps: Tensor, uv: Tensor, size: tuple[int, int], mode: str = "bilinear") -> Tensor:
+    """Samples of feature maps [N, C, h, w] at image pixels [N, P, 2]: [N, P, C].
 
-    ``size`` is the (width, height) of the image that the pixels refer to; the stride of the map
+    They are bilinear, or of the ``nearest`` pixel. ``size`` is the (width, height) of the image that the pixels refer to; the stride of the map
     does not matter, because coordinates are normalised by the image. Beyond the border the
     nearest border value is returned; validity is told apart by `in_view`.
     """
     grid = (uv + 0.5) * (2.0 / uv.new_tensor(size)) - 1.0
     grid = grid.clamp(-2, 2)  # huge coordinates of points beside the camera
-    out = grid_sample(maps, grid[:, :, None], "border")
+    out = grid_sample(maps, grid[:, :, None], "border", mode)
     return out.squeeze(-1).transpose(1, 2)
 
 
-def grid_sample(maps: Tensor, grid: Tensor, padding: str) -> Tensor:
+def grid_sample(maps: Tensor, grid: Tensor, padding: str, mode: str = "bilinear") -> Tensor:
     """Torch's, but coordinates stay exact: half precision is too coarse for pixels."""
     dtype = torch.promote_types(maps.dtype, torch.float32)
-    out = F.grid_sample(maps.to(dtype), grid.to(dtype), padding_mode=padding, align_corners=False)
+    out = F.grid_sample(maps.to(dtype), grid.to(dtype), mode, padding, align_corners=False)
     return out.to(maps.dtype)

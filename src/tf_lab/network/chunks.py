@@ -19,6 +19,7 @@ class Views:
         world_T_cam: [B, V, 4, 4], camera to chunk.
         times: int64 [B, V], numbers that grow with time; None: as the views are ordered.
         maps: their feature maps [B * V, C, h, w] by level, where they are known.
+        stereo: their depth maps [B, V, 2, h, w] (`tf_lab.stereo.depth`), if the network is told.
     """
 
     images: Tensor
@@ -26,6 +27,7 @@ class Views:
     world_T_cam: Tensor
     times: Tensor | None = None
     maps: Mapping[str, Tensor] | None = None
+    stereo: Tensor | None = None
 
     @property
     def size(self) -> tuple[int, int]:

@@ -14,6 +14,7 @@ from tf_lab.network.fusion.strategy import Fusion
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.settings import NetworkConfig
+from tf_lab.network.stereo_evidence import StereoEvidence
 from tf_lab.network.tokens import Measurements, Tokens, measure
 
 LEVELS = ("coarse", "fine")
@@ -45,6 +46,9 @@ class Network(nn.Module):
         self.agreement = nn.ModuleDict(
             {name: Agreement(channels[name], c.width) for name in LEVELS if c.matching}
         )
+        self.stereo_evidence = nn.ModuleDict(
+            {name: StereoEvidence(c.width) for name in LEVELS if c.stereo}
+        )
 
     def compile_parts(self) -> None:
         """Have torch compile what takes most of the time: the encoder and the fusion modules."""
@@ -58,7 +62,8 @@ class Network(nn.Module):
 
     def embed(self, level: str, measured: Measurements) -> Tensor:
         """Tokens [..., D], each of one measurement alone: what views are selected by."""
-        return self.tokens[level](*measured)
+        tokens = self.tokens[level](measured)
+        return tokens + self.stereo_evidence[level](measured) if self.config.stereo else tokens
 
     def embed_kept(self, level: str, kept: Measurements) -> Tensor:
         """Tokens [..., K, D] of the measurements that voxels keep, as they are fused."""
@@ -205,6 +210,7 @@ class Network(nn.Module):
         B, V = views.images.shape[:2]
         each = points.unsqueeze(1).expand(-1, V, -1, -1).flatten(0, 1)
         K, world_T_cam = views.K.flatten(0, 1), views.world_T_cam.flatten(0, 1)
+        stereo = None if views.stereo is None else views.stereo.flatten(0, 1)
         found = measure(
             each,
             K,
@@ -213,6 +219,7 @@ class Network(nn.Module):
             views.size,
             (self.config.near, self.config.far),
             lambda uv: sample_maps(maps, uv, views.size),
+            None if stereo is None else lambda uv: sample_maps(stereo, uv, views.size, "nearest"),
         )
         return found.each(lambda values: values.unflatten(0, (B, V)).transpose(1, 2))
 

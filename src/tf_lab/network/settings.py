@@ -43,6 +43,7 @@ class NetworkConfig(NetworkSizes):
             its name alone.
         depth, ray: whether tokens get the projected depth and the viewing ray.
         matching: whether kept tokens get evidence that the views agree; see `Agreement`.
+        stereo: whether tokens get what the view's own depth map says; see `StereoEvidence`.
         refine: whether 3D CNNs refine the features.
         filter: whether near-surface masks are trained and used.
         near, far: valid depth range, metres.
@@ -57,6 +58,7 @@ class NetworkConfig(NetworkSizes):
     depth: bool = True
     ray: bool = True
     matching: bool = False
+    stereo: bool = False
     refine: bool = True
     filter: bool = True
     near: float = setting(0.3, least=0)

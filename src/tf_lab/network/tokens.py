@@ -21,15 +21,18 @@ class Measurements(NamedTuple):
         depth: [...] camera-space depth in metres.
         valid: [...] bool, the projection lies on the image.
         ray: [..., 3] unit rays.
+        stereo: [..., 2] what the view's own depth map says at the projection, metres (0: nothing)
+            and the score there; [..., 0] without such maps.
     """
 
     phi: Tensor
     depth: Tensor
     valid: Tensor
     ray: Tensor
+    stereo: Tensor
 
     def each(self, change: Callable[[Tensor], Tensor]) -> Measurements:
-        """All four, changed alike."""
+        """All of them, changed alike."""
         return Measurements(*map(change, self))
 
     def of_views(self, views: Tensor) -> Measurements:
@@ -40,6 +43,7 @@ class Measurements(NamedTuple):
             self.depth.gather(1, views),
             self.valid.gather(1, views),
             torch.take_along_dim(self.ray, index, dim=1),
+            torch.take_along_dim(self.stereo, index, dim=1),
         )
 
 
@@ -60,8 +64,9 @@ class Tokens(nn.Module):
         with torch.no_grad():  # features reach the attention unmixed; the linear layer learns on
             nn.init.eye_(self.linear.weight[:, :features])
 
-    def forward(self, phi: Tensor, depth: Tensor, valid: Tensor, ray: Tensor) -> Tensor:
-        """Embed measurements, see `Measurements`: [..., D]."""
+    def forward(self, measured: Measurements) -> Tensor:
+        """Embed measurements: [..., D]."""
+        phi, depth, valid, ray, _ = measured
         v = valid.unsqueeze(-1).to(phi.dtype)
         parts = [phi * v, v]
         if self.depth:
@@ -79,6 +84,7 @@ def measure(
     size: tuple[int, int],
     depth_range: tuple[float, float],
     sample: Callable[[Tensor], Tensor],
+    stereo: Callable[[Tensor], Tensor] | None = None,
 ) -> Measurements:
     """What views say of points.
 
@@ -90,10 +96,13 @@ def measure(
         size: (width, height) of the image, pixels.
         depth_range: nearest and farthest valid depth, metres.
         sample: features [..., P, C] of the views at pixels [..., P, 2].
+        stereo: what their depth maps say there, [..., P, 2]; None: there are none.
 
     Returns:
-        phi [..., P, C], depth [..., P], valid [..., P], ray [..., P, 3].
+        phi [..., P, C], depth [..., P], valid [..., P], ray [..., P, 3], stereo [..., P, 2 or 0].
     """
     uv, depth = project(points, K, cam_T_world)
     valid = in_view(uv, depth, size, *depth_range)
-    return Measurements(sample(uv), depth, valid, view_rays(points, world_T_cam))
+    phi = sample(uv)
+    told = phi.new_zeros(*uv.shape[:-1], 0) if stereo is None else stereo(uv)
+    return Measurements(phi, depth, valid, view_rays(points, world_T_cam), told)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
+from functools import partial
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -25,6 +27,7 @@ from tf_lab.geometry import (
 from tf_lab.network.network import LEVELS, Network
 from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.lattice.table import Table
+from tf_lab.stereo.depth import CHANNELS, DepthSequence
 
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
 CAMERA = {"K": (3, 3), "world_T_cam": (4, 4), "cam_T_world": (4, 4), "planes": (6, 4)}
@@ -85,6 +88,9 @@ class Frames:
         self._shape: dict[str, tuple[int, int]] = {}  # (h, w) of the maps
         self._slot = torch.empty(0, dtype=torch.int64, device=self.maps_device)  # by frame, or -1
         self._resident: OrderedDict[int, int] = OrderedDict()  # frame -> slot, oldest use first
+        self._depths = DepthSequence() if network.config.stereo else None
+        self._stereo = Table(self.device)  # depth maps by frame
+        self._stereo_shape = (0, 0)  # (h, w) of them
 
     def __len__(self) -> int:
         return len(self.images)
@@ -96,8 +102,8 @@ class Frames:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the maps."""
-        return sum(pool.nbytes() for pool in self._pools.values())
+        """Memory of the maps, those of depth included."""
+        return sum(pool.nbytes() for pool in [*self._pools.values(), self._stereo])
 
     def map_nbytes(self, level: str) -> int:
         """Memory of one frame's map."""
@@ -117,6 +123,8 @@ class Frames:
         parts = upload(torch.cat(camera), self.device).split([len(x) for x in camera])
         for (name, shape), part in zip(CAMERA.items(), parts, strict=True):
             self.cameras[name][number] = part.view(shape)
+        if self._depths is not None:
+            self._add_depth(self._depths.add(_pixels(image), K.numpy(), world_T_cam.numpy()))
         self._slot = F.pad(self._slot, (0, 1), value=-1)
         if encode:
             self._load(number)
@@ -157,7 +165,11 @@ class Frames:
             c[name].index_select(0, frames) for name in ("K", "world_T_cam", "cam_T_world")
         )
         depth_range = (config.near, config.far)
-        one = measure(points[:, None], K, world_T_cam, cam_T_world, self.size, depth_range, sample)
+        stereo = None
+        if self._depths is not None:
+            stereo = partial(self._depth_at, frames)
+        cameras = (K, world_T_cam, cam_T_world)
+        one = measure(points[:, None], *cameras, self.size, depth_range, sample, stereo)
         return one.each(lambda values: values[:, 0])
 
     def _sample(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
@@ -187,6 +199,23 @@ class Frames:
         index = torch.stack([upper + left, upper + right, lower + left, lower + right], 1)
         pool = self._pools[level]["maps"].flatten(0, 1)
         return F.embedding_bag(index, pool, mode="sum", per_sample_weights=weights.to(pool.dtype))
+
+    def _add_depth(self, depth: np.ndarray) -> None:
+        if not self._stereo.rows:
+            self._stereo_shape = depth.shape[1:]
+            pixels = depth.shape[1] * depth.shape[2]
+            self._stereo.add_column("depth", (pixels, CHANNELS), torch.float16, 0)
+        self._stereo.grow(self._stereo.rows + 1)
+        pixels = torch.from_numpy(depth).flatten(1).T.to(torch.float16)
+        self._stereo["depth"][-1] = upload(pixels, self.device)
+
+    def _depth_at(self, frames: Tensor, uv: Tensor) -> Tensor:
+        """What the frames' depth maps say at the pixels nearest to [P, 1, 2]: [P, 1, 2]."""
+        (h, w), (width, height) = self._stereo_shape, self.size
+        x = ((uv[..., 0] + 0.5) * (w / width) - 0.5).clamp(0, w - 1).round().long()
+        y = ((uv[..., 1] + 0.5) * (h / height) - 0.5).clamp(0, h - 1).round().long()
+        index = (frames[:, None] * h + y) * w + x
+        return self._stereo["depth"].flatten(0, 1)[index].float()
 
     def _groups(self, wanted: list[int]) -> Iterator[list[int]]:
         """The frames in groups whose maps are all there while a group is worked on."""
@@ -227,3 +256,8 @@ class Frames:
             pool["maps"][slot] = found[level][0].flatten(1).T.to(self.maps_device, self.dtype)
         self._slot[frame] = slot
         self._resident[frame] = slot
+
+
+def _pixels(image: Tensor) -> np.ndarray:
+    """uint8 [H, W, 3] of [3, H, W]."""
+    return image.permute(1, 2, 0).numpy()

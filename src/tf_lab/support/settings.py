@@ -58,6 +58,7 @@ def setting(
     shapes: Shapes = "nothing",
     kind: Kind = "value",
     several: bool = False,
+    absent: Any = MISSING,
     least: float | None = None,
     above: float | None = None,
     most: float | None = None,
@@ -73,11 +74,14 @@ def setting(
         kind: "path": a place on this machine, in which ``~`` is expanded; "source": a place or a
             name, likewise. Whatever they look like, they are text.
         several: a list of texts may be given as well as one.
+        absent: of a setting that came later, the value that means what was before; with it runs are
+            the same as those that did not have the setting.
         least: the smallest that its numbers, or those in it, may be; see `check_ranges`.
         above: what they must be more than.
         most: the largest that they may be.
     """
     metadata = {"about": about, "shapes": shapes, "kind": kind, "several": several}
+    metadata["absent"] = absent
     metadata["range"] = Range(least, above, most)
     if default is MISSING:
         return dataclasses.field(metadata=metadata)
@@ -94,13 +98,13 @@ def shaping(settings: Any, what: Shapes) -> dict[str, Any]:
     """The settings of a dataclass, nested ones included, that shape ``what``; nothing empty."""
     found: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
+        value, absent = getattr(settings, field.name), field.metadata.get("absent", MISSING)
         if isinstance(value, dict) and all(map(dataclasses.is_dataclass, value.values())):
             parts = {name: shaping(part, what) for name, part in value.items()}
             found |= {field.name: parts} if any(parts.values()) else {}
         elif dataclasses.is_dataclass(value):
             found |= {field.name: inner} if (inner := shaping(value, what)) else {}
-        elif field.metadata.get("shapes", "nothing") == what:
+        elif field.metadata.get("shapes", "nothing") == what and value != absent:
             found[field.name] = value
     return found
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,8 @@ from tf_lab.training.state import read_state
 SHIPPED = "shipped"
 SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=matching"  # that it was trained with
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
+# inputs that say nothing before they are trained: weights without them are trained on with them
+ADDED = {"matching": "agreement.", "stereo": "stereo_evidence."}
 OPTIMIZER = "optimizer"  # among the hyperparameters of a state
 
 
@@ -94,7 +96,9 @@ def initialise(network: Network, path: Path) -> None:
         state = None
     else:
         other, _ = load_network(path)
-        theirs, state = other.config, other.state_dict()
+        new = [name for name in ADDED if not getattr(other.config, name)]
+        theirs = replace(other.config, **{name: getattr(network.config, name) for name in new})
+        state = other.state_dict() | _untrained(network, new)
     misfit = _misfit(_plain(asdict(theirs)), _plain(asdict(network.config)))
     if misfit:
         cure = "the settings that it was trained with (config.yaml beside it)"
@@ -102,6 +106,12 @@ def initialise(network: Network, path: Path) -> None:
         raise TFLabError(f"init={path}: of another network: {misfit}; give {cure}")
     if state is not None:
         network.load_state_dict(state)
+
+
+def _untrained(network: Network, inputs: Sequence[str]) -> dict[str, Tensor]:
+    """The weights that a network has for some of the inputs in `ADDED`."""
+    begin = tuple(ADDED[name] for name in inputs)
+    return {k: v for k, v in network.state_dict().items() if k.startswith(begin)}
 
 
 def check_state(path: Path, settings: Mapping[str, Any]) -> None:

@@ -61,7 +61,7 @@ class Training(SceneEvaluation):
         """L = L_c + L_f + L_o of a batch."""
         known = self.known_maps
         maps = None if known is None else known(batch.images.flatten(0, 1))
-        views = Views(batch.images, batch.K, batch.world_T_cam, batch.times, maps)
+        views = Views(batch.images, batch.K, batch.world_T_cam, batch.times, maps, batch.stereo)
         predictions = self.network(
             views, COARSE_GRID, FINE_GRID, batch.points, batch.coarse_target, kept_by(batch)
         )

@@ -15,6 +15,7 @@ from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardSource
 from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.settings import Content
+from tf_lab.data.stereo_maps import prepare_stereo
 from tf_lab.errors import TFLabError
 
 
@@ -104,25 +105,36 @@ class DataSource(ABC):
         urls = getattr(self.settings, "urls", None)
         return open_shards(urls).identity if urls else None
 
-    def chunks(self, settings: ChunkSettings, near: float, far: float) -> ChunkSource:
+    def chunks(
+        self, settings: ChunkSettings, near: float, far: float, stereo: bool = False
+    ) -> ChunkSource:
         """Where training chunks come from: the shards ``data.urls``, or the training scenes.
 
         Args:
             settings: how chunks are drawn.
             near: least depth at which a view measures, metres.
             far: greatest, metres.
+            stereo: whether the images' depth maps are wanted.
 
         Raises:
             TFLabError: the shards cannot be opened, or the scenes not be made.
         """
         if urls := getattr(self.settings, "urls", None):
+            if stereo:
+                raise TFLabError(
+                    "inputs.stereo=true: shards hold no depth maps; train on the scenes"
+                )
             return ShardSource(urls, settings, near, far, self.settings.shuffle)
-        return self.sampler(settings, near, far)
+        return self.sampler(settings, near, far, stereo)
 
-    def sampler(self, settings: ChunkSettings, near: float, far: float) -> ChunkSampler:
+    def sampler(
+        self, settings: ChunkSettings, near: float, far: float, stereo: bool = False
+    ) -> ChunkSampler:
         """Draws chunks of the training scenes, which are made first if they are missing."""
-        scenes = self.scenes("train")["train"]
-        return ChunkSampler([*scenes.values()], settings, near, far)
+        scenes = [*self.scenes("train")["train"].values()]
+        if stereo:
+            prepare_stereo(scenes, settings.camera_noise, self.settings.workers)
+        return ChunkSampler(scenes, settings, near, far, stereo)
 
 
 def open_source(settings: Any, content: Content | None = None) -> DataSource:

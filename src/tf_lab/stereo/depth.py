@@ -1,0 +1,114 @@
+"""Depth maps of frames that come one by one, each from those before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+
+from tf_lab.geometry import scale_intrinsics
+from tf_lab.stereo.cost import View, sweep
+from tf_lab.stereo.smoothing import aggregate
+from tf_lab.stereo.sources import choose_sources
+
+VERSION = 1  # changes whenever the depth of the same frames does
+CHANNELS = 2  # of a depth map: metres (0: unknown), and the ZNCC there
+
+
+@dataclass(frozen=True)
+class StereoSettings:
+    """How depth is found.
+
+    Attributes:
+        width: pixels; wider images are made so narrow: what it costs is the same at any size.
+        planes: between ``near`` and ``far`` (metres), of equal steps in inverse depth.
+        sources: earlier frames that one is compared with, and ``best`` of them that count at a
+            pixel.
+        baseline: see `choose_sources`.
+        window: of the correlation, pixels.
+        small, large: see `aggregate`.
+    """
+
+    width: int = 80
+    planes: int = 48
+    near: float = 0.4
+    far: float = 5.0
+    sources: int = 6
+    best: int = 3
+    baseline: tuple[float, float, float] = (0.05, 0.8, 0.25)
+    window: int = 5
+    small: float = 0.2
+    large: float = 1.2
+
+
+SETTINGS = StereoSettings()
+
+
+class DepthSequence:
+    """Frames so far, and the depth of each new one.
+
+    Args:
+        settings: see `StereoSettings`.
+    """
+
+    def __init__(self, settings: StereoSettings = SETTINGS) -> None:
+        self.settings = settings
+        self.views: list[View] = []
+
+    def add(self, image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray) -> np.ndarray:
+        """Depth, see `depth_of`, of a new frame: uint8 [H, W, 3], [3, 3] and [4, 4]."""
+        self.views.append(small_view(image, K, world_T_cam, self.settings.width))
+        return depth_of(self.views, len(self.views) - 1, self.settings)
+
+
+def small_view(image: np.ndarray, K: np.ndarray, world_T_cam: np.ndarray, width: int) -> View:
+    """A frame in grey, at most ``width`` pixels wide."""
+    height, full = image.shape[:2]
+    grey = image.astype(np.float32).mean(-1) / 255
+    K = np.asarray(K, np.float64)
+    if full > width:
+        size = (width, max(1, round(height * width / full)))
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        K = scale_intrinsics(torch.from_numpy(K), (full, height), size).numpy()
+    return View(grey, K, np.asarray(world_T_cam, np.float64))
+
+
+def depth_of(views: Sequence[View], i: int, settings: StereoSettings = SETTINGS) -> np.ndarray:
+    """Depth of view i by those before it.
+
+    Returns:
+        float32 [2, h, w]: metres, and the ZNCC there; zero throughout if no view can be compared.
+    """
+    poses = np.stack([view.world_T_cam for view in views[: i + 1]])
+    sources = choose_sources(poses, i, settings.sources, settings.baseline)
+    return stereo_depth(views[i], [views[j] for j in sources], settings)
+
+
+def stereo_depth(view: View, sources: Sequence[View], settings: StereoSettings) -> np.ndarray:
+    """Depth of a view by others of its size; see `depth_of`."""
+    s = settings
+    if not sources:
+        return np.zeros((CHANNELS, *view.grey.shape), np.float32)
+    inverse = np.linspace(1 / s.far, 1 / s.near, s.planes)
+    scores = sweep(view, sources, inverse, s.window, s.best)
+    costs = aggregate(1 - scores, view.grey, s.small, s.large)
+    plane = costs.argmin(0)
+    score = np.take_along_axis(scores, plane[None], 0)[0]
+    return np.stack([1 / _between(costs, plane, inverse), score]).astype(np.float32)
+
+
+def _between(costs: np.ndarray, plane: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """Inverse depth [H, W] in the valley of a parabola through the best plane and its neighbours.
+
+    There is none at the first and the last plane.
+    """
+    inner = plane.clip(1, len(inverse) - 2)
+    left, middle, right = (
+        np.take_along_axis(costs, (inner + step)[None], 0)[0] for step in (-1, 0, 1)
+    )
+    offset = 0.5 * (left - right) / np.maximum(left - 2 * middle + right, 1e-6)
+    offset = np.where(inner == plane, offset.clip(-0.5, 0.5), 0)
+    return inverse[plane] + offset * (inverse[1] - inverse[0])
