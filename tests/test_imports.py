@@ -17,7 +17,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors",),
     ("support",),
     ("geometry",),
-    ("meshes",),
+    ("meshes", "stereo"),
     ("network", "data"),
     ("online",),
     ("evaluation",),

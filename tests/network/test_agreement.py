@@ -26,7 +26,8 @@ def views(points: int = 30, seed: int = 0) -> Measurements:
     valid[0], valid[1], valid[2] = False, torch.arange(V) == 3, True
     ray = torch.nn.functional.normalize(torch.randn(points, V, 3, generator=generator), dim=-1)
     phi = torch.randn(points, V, C, generator=generator) + 0.5
-    return Measurements(phi, torch.rand(points, V, generator=generator), valid, ray)
+    depth = torch.rand(points, V, generator=generator)
+    return Measurements(phi, depth, valid, ray, torch.zeros(points, V, 0))
 
 
 def agreement(seed: int = 1) -> Agreement:
@@ -91,6 +92,7 @@ def test_what_lies_in_invalid_slots_never_counts() -> None:
         seen.depth,
         seen.valid,
         seen.ray.masked_fill(gone[..., None], 0.57),
+        seen.stereo,
     )
     torch.testing.assert_close(module(rubbish), module(seen))
     # nor do more empty slots

@@ -19,7 +19,7 @@ def example(network: Network, level: str) -> Measurements:
     valid = torch.rand(40, 9, generator=generator) < 0.6
     valid[0], valid[1] = False, True
     ray = torch.nn.functional.normalize(torch.randn(40, 9, 3, generator=generator), dim=-1)
-    return Measurements(phi, depth, valid, ray)
+    return Measurements(phi, depth, valid, ray, torch.zeros(40, 9, 0))
 
 
 def assert_kept(
@@ -67,7 +67,7 @@ def test_attention_keeps_the_highest_logits_and_the_last(
     network = tiny_network(heads=1)  # with one head the order of weights is that of the logits
     measured = example(network, "coarse")
     kept, slots, _ = network.keep_views("coarse", measured, CENTERS, KEYS, keeping("attention", 3))
-    logits = network.selection_logits("coarse", network.tokens["coarse"](*measured))
+    logits = network.selection_logits("coarse", network.embed("coarse", measured))
     assert slots is not None and logits is not None
     for p in range(40):
         *views, last = [v for v in range(9) if measured.valid[p, v]] or [-1]

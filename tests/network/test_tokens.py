@@ -31,11 +31,12 @@ def make(depth: bool = True, ray: bool = True) -> Tokens:
     return tokens
 
 
-def measurements(n: int = 7) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def measurements(n: int = 7) -> Measurements:
     torch.manual_seed(2)
     valid = torch.arange(n) % 2 == 0
     ray = torch.nn.functional.normalize(torch.randn(n, 3), dim=-1)
-    return torch.randn(n, C), 0.5 + 4 * torch.rand(n), valid, ray
+    phi, depth = torch.randn(n, C), 0.5 + 4 * torch.rand(n)
+    return Measurements(phi, depth, valid, ray, torch.zeros(n, 0))
 
 
 @pytest.mark.parametrize(
@@ -45,35 +46,34 @@ def measurements(n: int = 7) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def test_inputs_without_depth_or_ray(depth: bool, ray: bool, inputs: int) -> None:
     tokens = make(depth, ray)
     assert tokens.linear.in_features == inputs
-    phi, d, v, r = measurements()
-    first = tokens(phi, d, v, r)
+    m = measurements()
+    first = tokens(m)
     assert first.shape == (7, D)
-    assert torch.equal(tokens(phi, d + 0.3, v, r), first) is not depth
-    assert torch.equal(tokens(phi, d, v, r.flip(0)), first) is not ray
+    assert torch.equal(tokens(m._replace(depth=m.depth + 0.3)), first) is not depth
+    assert torch.equal(tokens(m._replace(ray=m.ray.flip(0))), first) is not ray
 
 
 def test_a_valid_token_reads_features_and_validity() -> None:
     tokens = make()
-    phi, d, v, r = measurements()
-    first = tokens(phi, d, v, r)
-    assert ((tokens(phi + 1, d, v, r) - first).abs().amax(-1) > 1e-3)[v].all()
-    assert ((tokens(phi, d, ~v, r) - first).abs().amax(-1) > 1e-3).all()
+    m = measurements()
+    first = tokens(m)
+    assert ((tokens(m._replace(phi=m.phi + 1)) - first).abs().amax(-1) > 1e-3)[m.valid].all()
+    assert ((tokens(m._replace(valid=~m.valid)) - first).abs().amax(-1) > 1e-3).all()
 
 
 def test_features_of_an_invalid_projection_do_not_matter() -> None:
     tokens = make()
-    phi, d, v, r = measurements()
-    other = torch.where(v[:, None], phi, 1e3 * torch.ones_like(phi))
-    assert torch.equal(tokens(other, d, v, r), tokens(phi, d, v, r))
+    m = measurements()
+    other = torch.where(m.valid[:, None], m.phi, 1e3 * torch.ones_like(m.phi))
+    assert torch.equal(tokens(m._replace(phi=other)), tokens(m))
 
 
 def test_a_token_is_linear_in_what_it_reads() -> None:
     """theta = W [phi, d, v, r] + b for some order of the inputs and some affine scale of depth."""
     tokens = make()
-    phi, d, _, r = measurements(200)
-    v = torch.ones(200, dtype=torch.bool)
-    inputs = torch.cat([phi, d[:, None], r, torch.ones(200, 1)], 1)
-    theta = tokens(phi, d, v, r)
+    m = measurements(200)._replace(valid=torch.ones(200, dtype=torch.bool))
+    inputs = torch.cat([m.phi, m.depth[:, None], m.ray, torch.ones(200, 1)], 1)
+    theta = tokens(m)
     residual = theta - inputs @ torch.linalg.lstsq(inputs, theta).solution
     assert residual.abs().max() < 1e-4
 
@@ -88,7 +88,7 @@ def test_measurements_of_two_views_by_hand() -> None:
     poses[1, :3, 3] = torch.tensor([2.0, 0.0, 4.0])
     maps = torch.arange(16.0).view(2, 1, 2, 4)  # rows of 4: 0..3, 4..7 and 8..11, 12..15
     points = torch.tensor([[2.0, 0.0, 0.0], [2.0, -0.5, 0.25], [2.0, 30.0, 0.0], [-3.0, 0.0, 0.0]])
-    phi, depth, valid, ray = measured(maps, points, K, poses)
+    phi, depth, valid, ray, _ = measured(maps, points, K, poses)
     # First view: right = -y, down = -z, so (u, v) = (3.5 + 4 * -y / 2, 1.5 + 4 * -z / 2).
     # Point 0: the image's centre, hence the mean of the map. Point 1: (4.5, 1.0), on the map
     # ((u + .5) / 2 - .5, (v + .5) / 2 - .5) = (2, .25), value 2 + .25 * 4 = 3.

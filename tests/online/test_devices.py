@@ -64,7 +64,7 @@ def test_adding_a_frame_waits_for_list_lengths_only(
 def test_choosing_and_comparing_views_in_training_waits_for_nothing(name: str) -> None:
     torch.manual_seed(0)
     valid, rays = torch.rand(30, 9) < 0.7, torch.randn(30, 9, 3)
-    views = [torch.randn(30, 9, 8), torch.rand(30, 9), valid, rays]
+    views = [torch.randn(30, 9, 8), torch.rand(30, 9), valid, rays, torch.zeros(30, 9, 0)]
     with PretendedGpu() as gpu:
         logits, *parts = (x.to(CUDA) for x in (torch.randn(30, 9, 2), *views))
         keys = torch.zeros(30, 3, dtype=torch.int64).to(CUDA)

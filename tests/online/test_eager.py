@@ -18,16 +18,18 @@ from tf_lab.benchmarks.eager import EagerReconstructor
 from tf_lab.data.scene import Scene
 from tf_lab.online.reconstructor import Reconstructor
 
+BOTH = {"matching": True, "stereo": True}
+
 
 @pytest.mark.parametrize(
-    ("select", "views", "logits", "matching"),
+    ("select", "views", "logits", "inputs"),
     [
-        ({"select": "attention"}, 3, "float32", False),
-        ({"select": "attention"}, 3, "float16", False),
-        ({"select": "attention"}, 16, "float32", True),
-        ({"select": "attention"}, 3, "float32", True),
-        ({"select": "random", "seed": 4}, 3, "float32", False),
-        ({"select": {"policy": "diverse", "spread": 0.5}, "seed": 1}, 3, "float16", True),
+        ({"select": "attention"}, 3, "float32", {}),
+        ({"select": "attention"}, 3, "float16", {}),
+        ({"select": "attention"}, 16, "float32", {"matching": True}),
+        ({"select": "attention"}, 3, "float32", {"matching": True}),
+        ({"select": "random", "seed": 4}, 3, "float32", {}),
+        ({"select": {"policy": "diverse", "spread": 0.5}, "seed": 1}, 3, "float16", BOTH),
     ],
 )
 def test_lazy_equals_eager(
@@ -36,9 +38,9 @@ def test_lazy_equals_eager(
     select: dict[str, Any],
     views: int,
     logits: str,
-    matching: bool,
+    inputs: dict[str, bool],
 ) -> None:
-    network = balanced(trained_to_match(tiny_network(matching=matching)), scene)
+    network = balanced(trained_to_match(tiny_network(**inputs)), scene)
     settings = settings_of(views=views, logits=logits, **select)
     lazy = add(Reconstructor(network, settings), scene)
     eager = add(EagerReconstructor(network, settings), scene)

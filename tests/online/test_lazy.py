@@ -102,12 +102,19 @@ def test_nothing_is_computed_twice(tiny_network: Factory, scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("select", [{"select": "attention"}, {"select": "random", "seed": 2}])
-@pytest.mark.parametrize(("masks", "matching"), [(True, False), (False, False), (True, True)])
+@pytest.mark.parametrize(
+    ("masks", "inputs"),
+    [(True, {}), (False, {}), (True, {"matching": True}), (True, {"stereo": True})],
+)
 def test_meshing_in_between_changes_nothing(
-    tiny_network: Factory, scene: Scene, select: dict[str, Any], masks: bool, matching: bool
+    tiny_network: Factory,
+    scene: Scene,
+    select: dict[str, Any],
+    masks: bool,
+    inputs: dict[str, bool],
 ) -> None:
     """Dirty chunks only, regions in any order, frames in between: the same as all at once."""
-    network = tiny_network(filter=masks, matching=matching)
+    network = tiny_network(filter=masks, **inputs)
     network = balanced(trained_to_match(network), scene)
     expected = reconstruct(network, scene, **select, views=2)
     often = Reconstructor(network, settings_of(views=2, **select))

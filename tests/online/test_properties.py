@@ -42,12 +42,13 @@ def brute_force(
     """The definition: when K are held, drop that of the lowest weight; then add the new one."""
     held: list[tuple[int, Tensor]] = []
     for number, (image, k, pose) in enumerate(frames):
-        camera = torch.from_numpy(pose).float()[None]
+        camera = torch.from_numpy(pose).float()
         size = (image.shape[1], image.shape[0])
-        intrinsics = torch.from_numpy(k)[None]
-        if not network.visible(point[None], intrinsics, camera, size).any():
+        intrinsics = torch.from_numpy(k)
+        if not network.visible(point[None], intrinsics[None], camera[None], size).any():
             continue
-        maps = network.encode(torch.from_numpy(image).permute(2, 0, 1)[None])["coarse"]
+        encoded = network.encode(torch.from_numpy(image).permute(2, 0, 1)[None])
+        maps = {name: m[0] for name, m in encoded.items()}
         token = embed(network, "coarse", maps, point[None], intrinsics, camera, size)
         if len(held) == views:
             tokens = torch.stack([t for _, t in held], 1)

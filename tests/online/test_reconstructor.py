@@ -54,9 +54,9 @@ def fuse_by_hand(
         if clearance(point[None], scene, frame)[0] < 0:
             continue
         image = torch.from_numpy(scene.image(frame)).permute(2, 0, 1)[None]
-        k = torch.from_numpy(scene.K[frame]).float()[None]
-        pose = torch.from_numpy(scene.world_T_cam[frame]).float()[None]
-        maps = network.encode(image)[level]
+        k = torch.from_numpy(scene.K[frame]).float()
+        pose = torch.from_numpy(scene.world_T_cam[frame]).float()
+        maps = {name: m[0] for name, m in network.encode(image).items()}
         p = torch.from_numpy(point).float()[None]
         token = embed(network, level, maps, p, k, pose, scene.size)[0, 0]
         if len(kept) == views:
@@ -149,13 +149,16 @@ def facing_cameras(count: int) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("masks", [True, False])
-@pytest.mark.parametrize(("refine", "matching"), [(True, False), (False, False), (True, True)])
+@pytest.mark.parametrize(
+    ("refine", "inputs"),
+    [(True, {}), (False, {}), (True, {"matching": True}), (True, {"stereo": True})],
+)
 @torch.inference_mode()
 def test_test_time_computes_what_training_computes(
-    tiny_network: Factory, refine: bool, matching: bool, masks: bool
+    tiny_network: Factory, refine: bool, inputs: dict[str, bool], masks: bool
 ) -> None:
     """Where every view sees every voxel, training and the dense reference differ in nothing."""
-    network = tiny_network(refine=refine, matching=matching, filter=masks, far=8.0)
+    network = tiny_network(refine=refine, **inputs, filter=masks, far=8.0)
     trained_to_match(network)
     K, poses = facing_cameras(4)
     generator = torch.Generator().manual_seed(0)
@@ -163,7 +166,10 @@ def test_test_time_computes_what_training_computes(
     coarse_grid = VoxelGrid((-0.3, -0.3, -0.3), 0.3, (7, 7, 7))
     points = 0.35 + 0.8 * torch.rand(50, 3, generator=generator)  # clear of the chunk's border
     fine_grid = VoxelGrid((0.0, 0.0, 0.0), 0.1, (15, 15, 15))
-    views = Views(images.permute(0, 3, 1, 2)[None], K[None], poses[None])
+    # the same at every pixel: the nearest one is not always the same to a rounding error
+    depths = (5 * torch.rand(4, 2, 1, 1, generator=generator)).expand(-1, -1, 12, 16)
+    stereo = depths[None] if "stereo" in inputs else None
+    views = Views(images.permute(0, 3, 1, 2)[None], K[None], poses[None], stereo=stereo)
     head = network.refinement.coarse_mask[-1]
     logits = network(views, coarse_grid, fine_grid, points[None], None).coarse
     middle = logits.flatten().sort().values[logits.numel() // 2 :][:2].mean()
@@ -172,6 +178,8 @@ def test_test_time_computes_what_training_computes(
     r = DenseReconstructor(network, coarse_grid, ReconstructionSettings())
     for image, k, pose in zip(images, K, poses, strict=True):
         r.add_frame(image.numpy(), k.numpy(), pose.numpy())
+    for maps, depth in zip(r.maps, depths, strict=True):  # all views are kept, whatever it says
+        maps["stereo"] = depth
     v = r.volumes()
     assert v is not None
     occupancy = network.decode(v.coarse, v.coarse_grid, v.fine, v.fine_grid, points)
@@ -186,6 +194,7 @@ def test_test_time_computes_what_training_computes(
         ({"select": "random", "seed": 3}, {"refine": False}),
         ({"select": "random", "seed": 1}, {"filter": False}),
         ({"select": {"policy": "diverse", "spread": 0.5}, "seed": 2}, {"matching": True}),
+        ({"select": "attention"}, {"matching": True, "stereo": True}),
         ({"select": "random", "seed": 2}, {"fusion": "gru"}),
     ],
 )

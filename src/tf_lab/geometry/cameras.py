@@ -91,9 +91,10 @@ def pixel_directions(K: Tensor, size: tuple[int, int]) -> Tensor:
 def sample_maps(maps: Tensor, uv: Tensor, size: tuple[int, int], mode: str = "bilinear") -> Tensor:
     """Samples of feature maps [N, C, h, w] at image pixels [N, P, 2]: [N, P, C].
 
-    They are bilinear, or of the ``nearest`` pixel. ``size`` is the (width, height) of the image that the pixels refer to; the stride of the map
-    does not matter, because coordinates are normalised by the image. Beyond the border the
-    nearest border value is returned; validity is told apart by `in_view`.
+    They are bilinear, or of the ``nearest`` pixel. ``size`` is the (width, height) of the image
+    that the pixels refer to; the stride of the map does not matter, because coordinates are
+    normalised by the image. Beyond the border the nearest border value is returned; validity is
+    told apart by `in_view`.
     """
     grid = (uv + 0.5) * (2.0 / uv.new_tensor(size)) - 1.0
     grid = grid.clamp(-2, 2)  # huge coordinates of points beside the camera

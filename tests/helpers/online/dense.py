@@ -6,7 +6,7 @@ Shares with `tf_lab.online` the view store and the meshing of a field, and nothi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,8 @@ from tf_lab.online.settings import ReconstructionSettings, cells_per_voxel
 from tf_lab.online.views import make_policy
 from tf_lab.online.views.selection import RandomSelection
 from tf_lab.online.views.store import ViewStore
+from tf_lab.stereo.cost import View
+from tf_lab.stereo.depth import CHANNELS, SETTINGS, depth_of, small_view
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 LATTICE = 0.05  # metres; voxel centres of both levels lie on multiples of it
@@ -43,29 +45,38 @@ Decode = Callable[[Tensor], Tensor]
 
 def measured(
     network: Network,
-    maps: Tensor,
+    level: str,
+    maps: Mapping[str, Tensor],
     points: Tensor,
     K: Tensor,
     world_T_cam: Tensor,
     size: tuple[int, int],
 ) -> Measurements:
-    """What views with maps [N, C, h, w] measure at points [P, 3]: [N, P, ...]."""
+    """What a view with maps [C, h, w] measures at points [P, 3]: [1, P, ...]."""
     depth_range = (network.config.near, network.config.far)
-    cameras = (K, world_T_cam, invert_pose(world_T_cam))
-    return measure(points, *cameras, size, depth_range, lambda uv: sample_maps(maps, uv, size))
+    cameras = (K[None], world_T_cam[None], invert_pose(world_T_cam)[None])
+
+    def sample(uv: Tensor) -> Tensor:
+        return sample_maps(maps[level][None], uv, size)
+
+    def stereo(uv: Tensor) -> Tensor:
+        return sample_maps(maps["stereo"][None], uv, size, "nearest")
+
+    told = stereo if network.config.stereo else None
+    return measure(points, *cameras, size, depth_range, sample, told)
 
 
 def embed(
     network: Network,
     level: str,
-    maps: Tensor,
+    maps: Mapping[str, Tensor],
     points: Tensor,
     K: Tensor,
     world_T_cam: Tensor,
     size: tuple[int, int],
 ) -> Tensor:
-    """Tokens [N, P, D] of points [P, 3] in views with maps [N, C, h, w]."""
-    return network.tokens[level](*measured(network, maps, points, K, world_T_cam, size))
+    """Tokens [1, P, D] of points [P, 3] in a view with maps [C, h, w]."""
+    return network.embed(level, measured(network, level, maps, points, K, world_T_cam, size))
 
 
 @dataclass
@@ -121,6 +132,7 @@ class DenseReconstructor:
         self.policy = policy
         self.images: list[Tensor] = []
         self.maps: list[dict[str, Tensor]] = []
+        self.views: list[View] = []
         self.K: list[Tensor] = []
         self.poses: list[Tensor] = []
         self.points = grid.centers().reshape(-1, 3).to(self.device)
@@ -141,6 +153,11 @@ class DenseReconstructor:
         self.maps.append({level: m[0] for level, m in maps.items()})
         self.K.append(torch.from_numpy(np.array(K)).float().to(self.device))
         self.poses.append(torch.from_numpy(np.array(world_T_cam)).float().to(self.device))
+        if self.network.config.stereo:
+            camera = (self.K[-1].numpy(), self.poses[-1].numpy())
+            self.views.append(small_view(np.array(image), *camera, SETTINGS.width))
+            depth = torch.from_numpy(depth_of(self.views, len(self.views) - 1))
+            self.maps[-1]["stereo"] = depth.half().float()
         self._select("coarse", self.coarse_store, self.points, len(self.images) - 1)
 
     @property
@@ -214,16 +231,17 @@ class DenseReconstructor:
 
     def _select(self, level: str, store: ViewStore, points: Tensor, frame: int) -> None:
         """Offer a frame to all voxels that it sees."""
-        K, pose = self.K[frame][None], self.poses[frame][None]
-        voxels = self.network.visible(points, K, pose, self.size)[0].nonzero().squeeze(1)
+        K, pose = self.K[frame], self.poses[frame]
+        seen = self.network.visible(points, K[None], pose[None], self.size)
+        voxels = seen[0].nonzero().squeeze(1)
         logits = None
         if self.policy.needs_logits:
-            maps = self.maps[frame][level][None]
-            tokens = embed(self.network, level, maps, points[voxels], K, pose, self.size)
+            given = (self.maps[frame], points[voxels], K, pose, self.size)
+            tokens = embed(self.network, level, *given)
             logits = self.network.selection_logits(level, tokens[0])
         keys = (points[voxels] / LATTICE).round().long()
         held = torch.stack(self.poses)[:, :3, 3][store.frames[voxels].long()]  # [M, K, 3]
-        new = pose[:, None, :3, 3].expand(len(voxels), 1, 3)
+        new = pose[:3, 3].expand(len(voxels), 1, 3)
         centers = torch.cat([held, new], 1) - points[voxels, None]
         store.add(frame, voxels, keys, logits, centers)
 
@@ -258,6 +276,7 @@ class DenseReconstructor:
             points.new_zeros(frames.shape),
             torch.zeros_like(frames, dtype=torch.bool),
             points.new_zeros(*frames.shape, 3),
+            points.new_zeros(*frames.shape, CHANNELS if self.network.config.stereo else 0),
         )
         for frame in frames.unique().tolist():
             if frame < 0:
@@ -265,10 +284,11 @@ class DenseReconstructor:
             row, slot = (frames == frame).nonzero(as_tuple=True)
             found = measured(
                 self.network,
-                self.maps[frame][level][None],
+                level,
+                self.maps[frame],
                 points[index[row]],
-                self.K[frame][None],
-                self.poses[frame][None],
+                self.K[frame],
+                self.poses[frame],
                 self.size,
             )
             for every, part in zip(kept, found, strict=True):

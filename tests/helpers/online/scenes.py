@@ -57,8 +57,8 @@ def dense(
 
 
 def trained_to_match(network: Any) -> Any:
-    """As if trained with ``inputs=matching``: what is zero at first is not."""
-    for module in network.agreement.values():
+    """As if trained with ``inputs=stereo``: what is zero at first is not."""
+    for module in (*network.agreement.values(), *network.stereo_evidence.values()):
         torch.nn.init.normal_(module.linear.weight)
     return network
 
