@@ -1,6 +1,7 @@
 """Training on: from the weights of a checkpoint, or from the state of a training."""
 
 import csv
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -97,6 +98,28 @@ def test_of_no_steps_the_weights_are_tested_as_they_are(
     told(train(none, output), "optimizer.steps=0", "give init=")
     state = train(NO_TEST, "optimizer.steps=2", output).path("training") / "last.ckpt"
     told(train(none, f"init={state}", output), f"init={state}: is at step 2")
+
+
+def test_inputs_that_say_nothing_at_first_are_added(
+    train: Train, checkpoint: Path, tmp_path: Path
+) -> None:
+    """A checkpoint without them is trained on with them, from what it can do."""
+    given = ("inputs=stereo", f"init={checkpoint}", f"output={tmp_path}")
+    before = train("optimizer.steps=0", NO_TEST, *given)
+    assert (before.status, before.err) == (0, "")
+    old, new = load_file(checkpoint), weights(before)
+    assert all(torch.equal(new[name], old[name]) for name in old)
+    added = {name.partition(".")[0] for name in new.keys() - old.keys()}
+    assert added == {"agreement", "stereo_evidence"}
+    assert all((new[name] == 0).all() for name in new.keys() - old.keys())
+    # with nothing learnt, reconstructions are the same; a little training changes them
+    scores = [train("optimizer.steps=0", *words) for words in (given, given[1:])]
+    found = [json.loads((s.path("run") / "metrics.json").read_text())["mean"] for s in scores]
+    assert found[0] == pytest.approx(found[1], abs=1e-4)
+    after = train("optimizer.steps=3", *given)
+    assert (after.status, after.err) == (0, "")
+    learnt = weights(after)
+    assert all((learnt[name] != 0).any() for name in learnt if name.startswith("stereo_evidence"))
 
 
 @pytest.mark.usefixtures("outputs")

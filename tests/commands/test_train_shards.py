@@ -44,6 +44,7 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
     [
         ((), "error: data.urls is missing"),
         (("data.urls=gone",), "gone: not a shard"),
+        (("data.urls={0}", "inputs=stereo"), "inputs.stereo=true: shards hold no depth maps"),
         (("data.urls={0}", "training.points=100"), "written with training.points=200, not 100"),
     ],
 )

@@ -165,10 +165,16 @@ def test_a_run_of_before_rules_can_still_be_read() -> None:
 
 def test_a_training_of_before_matching_is_found_again() -> None:
     old = asdict(DEFAULT)
-    del old["inputs"]["matching"], old["encoder"]["name"]
+    del old["inputs"]["matching"], old["inputs"]["stereo"], old["encoder"]["name"]
     config = typed(TrainConfig, upgraded(old))
     assert keys(config) == keys(DEFAULT)
     assert training_directory(config) == training_directory(DEFAULT)
+
+
+def test_a_setting_that_came_later_is_no_part_of_what_had_none() -> None:
+    """So that what was trained before it is found again."""
+    assert "stereo" not in training_identity(DEFAULT)["inputs"]
+    assert training_identity(composed("inputs=stereo"))["inputs"]["stereo"] is True
 
 
 @pytest.mark.parametrize("portable", [False, True])
@@ -267,6 +273,7 @@ def test_directories_say_what_differs(overrides: str, name: str) -> None:
         ("inputs=no_ray", "Ours: w/o view ray"),
         # ours, not the paper's
         ("inputs=matching", "Ours: + matching"),
+        ("inputs=stereo", "Ours: + matching, + stereo"),
         ("fusion=gru fusion.layers=3", "Ours: w/o TRSF, GRU (ours) layers=3"),
         # all rows of a study have the same encoder
         ("encoder=efficientnet_lite0 fusion=avg", "Ours: w/o TRSF, avg"),

@@ -20,7 +20,10 @@ def test_depth_of_a_wall(tilt: float) -> None:
     """Within 3 % where sources see it; the scores there are high."""
     depth, score = sequence(tilt)[-1]
     truth = wall_depth(0.36, tilt, 80)
-    inner = (slice(5, -5), slice(5, -20))  # the sources stand to the left, and see less of the right
+    inner = (
+        slice(5, -5),
+        slice(5, -20),
+    )  # the sources stand to the left, and see less of the right
     error = np.abs(depth - truth)[inner] / truth[inner]
     assert np.median(error) < 0.01 and np.mean(error < 0.03) > 0.95
     assert np.median(score[inner]) > 0.8

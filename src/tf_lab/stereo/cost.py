@@ -36,12 +36,15 @@ def sweep(
         float32 [P, H, W] in -1..1; -1 counts for a source that does not see the point.
     """
     here = _Windows(view.grey[None], window)
-    scores = []
+    top: list[np.ndarray] = []  # the greatest so far at every pixel, in order
     for source in sources:
         warped, seen = _warp(view, source, inverse)
-        scores.append(np.where(seen, here.correlation(_Windows(warped, window)), np.float32(-1)))
-    worst = len(scores) - min(best, len(scores))
-    return np.partition(np.stack(scores), worst, axis=0)[worst:].mean(0)
+        score = np.where(seen, here.correlation(_Windows(warped, window)), np.float32(-1))
+        for k, known in enumerate(top):
+            top[k], score = np.maximum(known, score), np.minimum(known, score)
+        if len(top) < best:
+            top.append(score)
+    return np.mean(top, axis=0)
 
 
 def _warp(view: View, source: View, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
