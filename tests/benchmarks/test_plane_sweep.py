@@ -12,7 +12,6 @@ from tf_lab.benchmarks.plane_sweep import (
     PlaneSweepSettings,
     Views,
     checked,
-    choose_sources,
     plane_sweep,
     sweep,
 )
@@ -39,7 +38,7 @@ def true_depth(views: Views, i: int) -> torch.Tensor:
 
 def test_depth_is_that_of_the_room() -> None:
     views = walk()
-    depth = sweep(views, 3, choose_sources(views.world_T_cam, 3, SETTINGS), SETTINGS)
+    depth = sweep(views, 3, views.sources(3, SETTINGS), SETTINGS)
     found, error = depth > 0, (depth - true_depth(views, 3)).abs()
     assert found.float().mean() > 0.6
     assert (error[found] < 0.1).float().mean() > 0.85  # the rest at edges of the box
@@ -48,7 +47,7 @@ def test_depth_is_that_of_the_room() -> None:
 
 def test_without_texture_nothing_is_claimed() -> None:
     views = walk(texture=False)
-    depth = sweep(views, 3, choose_sources(views.world_T_cam, 3, SETTINGS), SETTINGS)
+    depth = sweep(views, 3, views.sources(3, SETTINGS), SETTINGS)
     assert not (depth > 0).any()
 
 
@@ -64,16 +63,6 @@ def test_what_others_contradict_goes() -> None:
     assert (checked(depths, views, 3, SETTINGS)[rest] > 0).float().mean() > 0.85
     strict = replace(SETTINGS, agree=7)  # more than there are
     assert not (checked(depths, views, 3, strict) > 0).any()
-
-
-def test_sources_have_a_baseline_and_look_the_same_way() -> None:
-    poses = walk().world_T_cam.clone()
-    poses[0, :3, :3] = torch.from_numpy(box_room.look(np.zeros(3), np.pi, 0.0)[:3, :3])
-    poses[1, :3, 3] = poses[3, :3, 3] + 0.01  # no baseline
-    poses[6, :3, 3] = poses[3, :3, 3] + 9.0  # nothing in common
-    assert set(choose_sources(poses, 3, SETTINGS)) == {2, 4, 5}
-    alone = replace(SETTINGS, baseline=(3.0, 4.0, 3.5))
-    assert choose_sources(poses, 3, alone) == []
 
 
 class Walk:

@@ -30,6 +30,7 @@ from tf_lab.geometry import (
     transform,
 )
 from tf_lab.online.captures import Reconstruction
+from tf_lab.stereo.sources import choose_sources
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +90,7 @@ def plane_sweep(
     count = len(views.frames)
     depths = torch.zeros(count, *views.grey.shape[2:], device=device)
     for i in range(count):
-        sources = choose_sources(views.world_T_cam, i, s)
+        sources = views.sources(i, s)
         if sources:
             depths[i] = sweep(views, i, sources, s)
         if progress is not None:
@@ -112,6 +113,11 @@ class Views:
         """(width, height), pixels."""
         return self.grey.shape[3], self.grey.shape[2]
 
+    def sources(self, i: int, settings: PlaneSweepSettings) -> list[int]:
+        """The views to compare view i with."""
+        poses = self.world_T_cam.cpu().numpy()
+        return choose_sources(poses, i, settings.sources, settings.baseline)
+
 
 def _read(
     capture: Capture, keyframes: Sequence[int], device: torch.device | str
@@ -131,21 +137,6 @@ def _read(
     K, world_T_cam = (part.to(device) for part in cameras)
     grey = torch.from_numpy(np.stack(images))[:, None].to(device)
     return Views(used, grey, K, world_T_cam), skipped
-
-
-def choose_sources(world_T_cam: Tensor, i: int, settings: PlaneSweepSettings) -> list[int]:
-    """The views to compare view i with: a fair baseline, and looking the same way.
-
-    Of poses [N, 4, 4]; those come first whose baseline is nearest to the best one (as a factor)
-    and whose optical axis is within 45 degrees.
-    """
-    low, high, best = settings.baseline
-    baseline = (world_T_cam[:, :3, 3] - world_T_cam[i, :3, 3]).norm(dim=-1)
-    same_way = world_T_cam[:, :3, 2] @ world_T_cam[i, :3, 2]
-    fair = (baseline >= low) & (baseline <= high) & (same_way > 0.7)
-    cost = (baseline.clamp(min=1e-6) / best).log().abs() + 2 * (1 - same_way)
-    order = cost.masked_fill(~fair, torch.inf).argsort()
-    return order[: min(settings.sources, int(fair.sum()))].tolist()
 
 
 def sweep(views: Views, i: int, sources: Sequence[int], settings: PlaneSweepSettings) -> Tensor:
@@ -213,7 +204,7 @@ def checked(depths: Tensor, views: Views, i: int, settings: PlaneSweepSettings) 
     rays = pixel_directions(views.K[i], size) * depth[..., None]
     points = transform(views.world_T_cam[i], rays.flatten(0, 1))
     votes = torch.zeros(depth.numel(), device=depth.device)
-    for j in choose_sources(views.world_T_cam, i, s):
+    for j in views.sources(i, s):
         uv, z = project(points, views.K[j], invert_pose(views.world_T_cam[j]))
         u, v = uv.round().long().unbind(-1)
         inside = (z > 0) & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
