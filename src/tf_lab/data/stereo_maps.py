@@ -6,6 +6,7 @@ in its name. Training disturbs cameras; the maps are those that cameras as wrong
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Sequence
@@ -22,7 +23,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.stereo.depth import CHANNELS, SETTINGS, VERSION, small_view, stereo_depth
 from tf_lab.stereo.sources import choose_sources
 from tf_lab.support.arrays import read_array
-from tf_lab.support.files import atomic_path
+from tf_lab.support.files import atomic_path, remove_abandoned
+from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 
 
@@ -32,12 +34,17 @@ def prepare_stereo(scenes: Sequence[Path], noise: CameraNoise, workers: int | No
     Raises:
         TFLabError: those of some scenes cannot be made (after all others were); names them.
     """
-    tasks = {
-        str(scene): partial(write_stereo, scene, noise)
-        for scene in scenes
-        if not stereo_path(scene, noise).exists()
-    }
-    failed = run_tasks(tasks, "stereo depth", workers) if tasks else {}
+
+    def missing() -> list[Path]:
+        return [scene for scene in scenes if not stereo_path(scene, noise).exists()]
+
+    if not missing():
+        return
+    with contextlib.ExitStack() as locks:
+        for folder in sorted({scene.parent for scene in scenes}):
+            locks.enter_context(directory_lock(folder, "stereo depth of"))
+        tasks = {str(scene): partial(write_stereo, scene, noise) for scene in missing()}
+        failed = run_tasks(tasks, "stereo depth", workers) if tasks else {}
     for name, reason in failed.items():
         raise TFLabError(f"{len(failed)} of {len(tasks)} scenes have no stereo; {name}: {reason}")
 
@@ -54,6 +61,7 @@ def write_stereo(directory: Path, noise: CameraNoise) -> None:
     Raises:
         TFLabError: an image cannot be read.
     """
+    remove_abandoned(directory)
     scene, rng = Scene(directory), np.random.default_rng(0)
     views, maps = [], []
     for i in range(len(scene)):
