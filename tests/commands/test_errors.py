@@ -267,6 +267,7 @@ def test_a_corrupt_room_in_the_cache(
         *(f"output={output}", f"views={7 if damage is garbage_scene else 9}"),
     )
     told(result, str(named), "again")
+    assert not Path("outputs").exists()
 
 
 def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
@@ -304,10 +305,7 @@ def test_a_bad_setting_of_train(
 ) -> None:
     """Told before the training, not after it."""
     told(train(f"output={tmp_path}", argument), *expected)
-    assert not list(tmp_path.glob("trainings/*/*.safetensors"))
-    assert not list(tmp_path.glob("trainings/*/last.ckpt"))
-    if argument != "training.images=99":  # found out by drawing chunks
-        assert not list(tmp_path.glob("trainings/*/config.yaml"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_encoder_that_does_not_ship() -> None:

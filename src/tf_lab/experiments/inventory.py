@@ -66,7 +66,7 @@ def find_runs(output: Path) -> list[Entry]:
 
 
 def _folders(parent: Path) -> list[Path]:
-    """Those that hold something; one that was refused before it began has a lock only."""
+    """Those that hold something; one that was killed before it began has a lock only."""
     found = parent.iterdir() if parent.is_dir() else ()
     folders = (path for path in found if path.is_dir() and not path.name.startswith("."))
     return sorted(f for f in folders if any(not p.name.startswith(".") for p in f.iterdir()))
