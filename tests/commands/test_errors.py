@@ -80,6 +80,12 @@ def bare_images(mine: Path) -> None:
     images.rename(mine)
 
 
+def numbered_images(mine: Path) -> None:
+    bare_images(mine)
+    for number, path in enumerate(sorted(mine.iterdir())):
+        path.rename(mine / f"frame-{number:06d}.color.jpg")
+
+
 def truncated_images(mine: Path) -> None:
     for path in (mine / "images").iterdir():
         content = path.read_bytes()
@@ -94,6 +100,10 @@ def truncated_images(mine: Path) -> None:
         (other_file, ("mine: of no known layout", "images/, poses.txt, K.txt")),
         (video_only, ("mine: a video, but no camera poses", "COLMAP", "docs/own_video.md")),
         (bare_images, ("mine: 24 images, but no camera poses", "COLMAP", "docs/own_video.md")),
+        (
+            numbered_images,
+            ("mine: 24 images, but no camera poses", "frame-XXXXXX.pose.txt", "COLMAP", "docs/own"),
+        ),
         (short_pose, ("poses.txt, line 4: 5 values", "write one pose a line")),
         (
             one_pose_less,
