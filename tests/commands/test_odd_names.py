@@ -175,3 +175,15 @@ def test_going_on_is_said_by_commands_that_do(
     assert line.startswith("interrupted: ")
     assert ("is kept" in line or "are kept" in line) == goes_on
     assert ("starts again" in line) != goes_on
+
+
+def test_the_end_of_the_viewer_says_nothing_of_what_it_wrote(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tf_lab.cli.run.typed", interrupt)
+    result = call("view")
+    line = "interrupted: the page is gone, the same command shows it again\n"
+    assert (result.status, result.err) == (130, line)
