@@ -52,6 +52,10 @@ class Study:
         """The paper's rows that have no run."""
         return [row for row in (*ABLATIONS, OURS) if row not in self.rows]
 
+    def shows(self, row: str) -> bool:
+        """Whether tables and charts have a row: if it has no run, unless just one row has any."""
+        return row in self.rows or len(self.rows) > 1
+
     @property
     def scenes(self) -> list[str]:
         """The test scenes."""

@@ -10,7 +10,7 @@ import numpy as np
 from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.evaluation.scores import mean_scores
 from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
-from tf_lab.reporting.orderings import ORDERINGS, difference, verdict
+from tf_lab.reporting.orderings import difference, orderings_of, verdict
 from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.statistics import Estimate, deviation
@@ -54,7 +54,8 @@ def _beside_paper(
     theirs = [replace(c, key=f"paper_{c.key}") for c in _metrics(metric_columns(), THERE)]
     columns = (ROW, *_metrics(study.metrics, HERE), *theirs)
     body: list[list[Row]] = [
-        [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group] for group in groups
+        [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group if study.shows(row)]
+        for group in groups
     ]
     seeds = ", ".join(map(str, study.seeds()))
     caption = (
@@ -139,7 +140,7 @@ def orderings_table(study: Study) -> Table:
         Column("verdict", "With 95 %"),
     )
     families: dict[str, list[Row]] = {}
-    for ordering in ORDERINGS:
+    for ordering in orderings_of(study):
         found = difference(study, ordering.weights)
         mean = "missing" if found is None else "holds" if found.mean > 0 else "does not hold"
         numbers = _interval_cells(found)
