@@ -81,7 +81,7 @@ def describe(study: Study) -> str:
         f"meshed at {100 * s['test.resolution']:g} cm."
     )
     missing, rows = study.missing, len(ABLATIONS) + 1
-    if missing and len(study.rows) == 1:
+    if missing and study.alone:
         text += f" {len(missing)} of the paper's {rows} rows have no run yet."
     elif missing:
         text += f" Missing: {'; '.join(missing)}."

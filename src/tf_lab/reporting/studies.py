@@ -52,9 +52,14 @@ class Study:
         """The paper's rows that have no run."""
         return [row for row in (*ABLATIONS, OURS) if row not in self.rows]
 
+    @property
+    def alone(self) -> bool:
+        """Whether all runs are of one row, so that there is nothing to compare."""
+        return len(self.rows) == 1
+
     def shows(self, row: str) -> bool:
-        """Whether tables and charts have a row: if it has no run, unless just one row has any."""
-        return row in self.rows or len(self.rows) > 1
+        """Whether tables and charts have a row: also one without a run, where rows are compared."""
+        return row in self.rows or not self.alone
 
     @property
     def scenes(self) -> list[str]:

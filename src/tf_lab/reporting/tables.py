@@ -34,8 +34,9 @@ def main_table(study: Study) -> Table:
 
 
 def inputs_table(study: Study) -> Table:
-    """The paper's ablation of the transformers' inputs."""
-    return _beside_paper(study, "inputs", INPUTS, [[*group] for group in INPUTS.groups])
+    """The paper's ablation of the transformers' inputs, which ours alone is not."""
+    groups = [] if study.rows == [OURS] else [[*group] for group in INPUTS.groups]
+    return _beside_paper(study, "inputs", INPUTS, groups)
 
 
 def short_table(study: Study) -> Table:
@@ -105,10 +106,10 @@ def _with_best(
 
 
 def comparison_table(study: Study) -> Table:
-    """Each row's F-score against ours, paired over seeds and scenes."""
+    """Each row's F-score against ours, paired over seeds and scenes; of one row alone, nothing."""
     columns = (ROW, Column("seeds", "Seeds"), SCORE, *INTERVAL, Column("paper", "Paper"))
     body: list[Row] = []
-    for row in study.rows:
+    for row in [] if study.alone else study.rows:
         found = difference(study, {row: 1, OURS: -1}) if row != OURS else None
         known = row in SCORES and row != OURS
         theirs = SCORES[row]["fscore"] - SCORES[OURS]["fscore"] if known else None
