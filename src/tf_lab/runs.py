@@ -115,23 +115,22 @@ def listing(output: Path) -> str:
     for entry in trainings:
         used = [run.label for run in runs if run.training == entry.directory.name]
         seconds = entry.origin.get("seconds")
-        minutes = f"{seconds / 60:.1f}" if seconds is not None else ""
-        first.append([*_start(entry), minutes, "; ".join(used)])
+        minutes = f"{seconds / 60:.1f}" if seconds is not None else NOTHING
+        first.append([*_start(entry, NOTHING), minutes, "; ".join(used)])
     second = [["EVALUATION", "STATE", "COMMIT", "F-SCORE", "ROW / SEED"]]
     for entry in runs:
-        none = NOTHING if entry.state == "finished" else ""
-        score = f"{entry.fscore:.3f}" if entry.fscore is not None else none
-        second.append([*_start(entry), score, entry.label])
+        score = f"{entry.fscore:.3f}" if entry.fscore is not None else NOTHING
+        second.append([*_start(entry, NOTHING), score, entry.label])
     tables = {TRAININGS: aligned(first, "l"), RUNS: aligned(second, "l")}
     parts = [f"{output / name}:\n{table}" for name, table in tables.items()]
     wrong = [line for entry in (*trainings, *runs) for line in entry.problems]
     return "\n\n".join([*parts, *(["cannot be read:\n" + "\n".join(wrong)] if wrong else [])])
 
 
-def _start(entry: Entry) -> list[str]:
+def _start(entry: Entry, unknown: str = "") -> list[str]:
     state = entry.state + (f", {entry.user} works on it" if entry.user else "")
-    makers = sessions_of(entry.origin) or ([entry.origin] if entry.origin else [])
-    return [entry.directory.name, state, commits_of(makers)]
+    makers = [o for o in (*sessions_of(entry.origin), entry.origin) if "commit" in o]
+    return [entry.directory.name, state, commits_of(makers) or unknown]
 
 
 def details(entry: Entry) -> str:

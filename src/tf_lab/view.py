@@ -12,7 +12,12 @@ Examples:
 
 from tf_lab.cli.command import command
 
-main = command("view", __doc__, "tf_lab.commands.view:run")
+main = command(
+    "view",
+    __doc__,
+    "tf_lab.commands.view:run",
+    keeps="the page is gone, the same command shows it again",
+)
 
 if __name__ == "__main__":
     main()

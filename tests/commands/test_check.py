@@ -43,6 +43,19 @@ def test_a_right_capture(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["kitchen"]
 
 
+def test_what_is_fine_is_told_no_better_setting(tmp_path: Path) -> None:
+    """By chance some focal length and some principal point always have the smaller error."""
+    written(None, tmp_path / "kitchen")
+    result = call("check", "input=kitchen", DOWN, "output=found")
+    found = json.loads((tmp_path / "found" / "check.json").read_text())["alternatives"]
+    errors = {entry["setting"]: entry["error_pixels"] for entry in found}
+    by_chance = [setting for setting, error in errors.items() if error < errors[""]]
+    assert by_chance
+    assert not [setting for setting in by_chance if setting in result.out]
+    assert "shift=1" in result.out
+    assert "no other way to read the capture has clearly smaller errors" in result.out
+
+
 def test_a_wrong_capture_and_its_mend(inverted: Path, tmp_path: Path) -> None:
     result = call("check", "input=kitchen", DOWN, "output=found")
     assert (result.status, result.err) == (1, "")

@@ -1,5 +1,6 @@
 """Every command with paths as people have them, and places that cannot be written to."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -133,8 +134,8 @@ def test_inputs_of_one_name_have_meshes_of_their_own(
     posed_images: Path, checkpoint: Path, tmp_path: Path
 ) -> None:
     made = {}
-    outside = tmp_path / "outside" / "chess" / "seq-01"
-    for source in ("here/chess/seq-01", "here/fire/seq-01", str(outside)):
+    outside = [str(tmp_path / "outside" / scene / "seq-01") for scene in ("chess", "fire")]
+    for source in ("here/chess/seq-01", "here/fire/seq-01", *outside):
         shutil.copytree(posed_images, tmp_path / source)
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(tmp_path / "here")
@@ -145,9 +146,10 @@ def test_inputs_of_one_name_have_meshes_of_their_own(
         assert result.status == 0, result.err
         made = {p: p.stat().st_mtime_ns for p in (tmp_path / "here/outputs").rglob("*.ply")}
     places = {str(path.relative_to(tmp_path / "here/outputs/reconstructions")) for path in made}
+    hashes = [hashlib.sha256(source.encode()).hexdigest()[:8] for source in outside]
     assert places == {
         *("chess/seq-01.ply", "fire/seq-01.ply"),
-        f"{str(outside).lstrip('/')}.ply",
+        *(f"seq-01_{known}.ply" for known in hashes),
     }
 
 
@@ -175,3 +177,15 @@ def test_going_on_is_said_by_commands_that_do(
     assert line.startswith("interrupted: ")
     assert ("is kept" in line or "are kept" in line) == goes_on
     assert ("starts again" in line) != goes_on
+
+
+def test_the_end_of_the_viewer_says_nothing_of_what_it_wrote(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tf_lab.cli.run.typed", interrupt)
+    result = call("view")
+    line = "interrupted: the page is gone, the same command shows it again\n"
+    assert (result.status, result.err) == (130, line)

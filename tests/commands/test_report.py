@@ -36,6 +36,7 @@ def test_a_whole_study(tmp_path: Path) -> None:
 
 def test_a_part_of_a_study(tmp_path: Path) -> None:
     write_run(tmp_path, "", 0, [0.5, 0.6])
+    write_run(tmp_path, "views=8", 0, [0.5, 0.6])
     bad = write_run(tmp_path, "", 1, [0.5, 0.6])
     (bad / "metrics.json").write_text("{")
     done = call("report", f"runs={tmp_path}/runs", f"output={tmp_path}/report")
@@ -49,6 +50,30 @@ def test_a_part_of_a_study(tmp_path: Path) -> None:
     assert rows["Ours: 4 images"]["fscore"] == ""
     assert "fscore_deviation" not in rows["Ours"]
     assert f"left out: {bad}" in (tmp_path / "report" / "tables.md").read_text()
+
+
+@pytest.mark.parametrize("name", ["Ours", "Ours: 4 images"])
+def test_a_single_run(tmp_path: Path, name: str) -> None:
+    """What was not run is counted, and fills no table; nor do those of an earlier report stay."""
+    output = tmp_path / "report"
+    write_study(tmp_path / "outputs", {row: SCORES[row]["fscore"] for row in ROWS}, seeds=[0])
+    assert call("report", f"output={output}").status == 0
+    run = write_run(tmp_path / "one", ROWS[name], 0, [0.5, 0.6])
+    done = call("report", f"runs={run}", f"output={output}")
+    assert (done.status, done.err) == (0, "")
+    (line,) = (line for line in done.out.splitlines() if "no run yet" in line)
+    assert "1 runs of 1 rows" in line and "11 of the paper's 12 rows have no run yet." in line
+    assert "issing" not in done.out
+    tables = ("inputs", "comparison", "orderings")
+    without = {name for n in tables for name in (f"{n}.csv", f"table_{n}.tex")}
+    assert {path.name for path in output.iterdir()} == FILES - without
+    with (output / "main.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert (row["row"], row["fscore"]) == (name, "0.55")
+    assert float(row["paper_fscore"]) == SCORES[name]["fscore"]
+    for page in ("tables.md", "orderings.md", "report.html"):
+        text = (output / page).read_text()
+        assert "RND" not in text.partition("Charts")[0] and "issing" not in text
 
 
 def test_no_runs(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from helpers.killed import kill_after_first_save
 from helpers.tiny_jobs import TINY, call, tiny_config, told
 from tf_lab.commands.train import train as train_network
 from tf_lab.experiments.identity import training_directory
+from tf_lab.support.tables import NOTHING
 from tf_lab.training.fit import AtomicSaves
 
 STEPS = ("optimizer.steps=40", "training.save_every=5")
@@ -39,6 +40,10 @@ def test_a_killed_training_ends_with_the_weights_of_an_undisturbed_one(tmp_path:
     assert not (directory / "model.safetensors").exists()
     saved = torch.load(directory / "last.ckpt", weights_only=True)["global_step"]
     assert 0 < saved < 40
+    listed = call("runs", f"output={tmp_path / 'killed'}").out.splitlines()
+    (line,) = (line for line in listed if line.startswith(directory.name))
+    commit, minutes = line.split()[-2:]
+    assert commit != NOTHING and float(minutes) >= 0
 
     result = call("train", *arguments)
     assert result.status == 0, result.err

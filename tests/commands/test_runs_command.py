@@ -1,9 +1,11 @@
 """`python -m tf_lab.runs`: what is there, how far it is, and removing it."""
 
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from helpers.tiny_jobs import TINY, Result, call, tiny_config
 from tf_lab.commands.train import write_config
 from tf_lab.experiments.provenance import commit
 from tf_lab.experiments.reuse import commits_of, print_reuse, removal
+from tf_lab.support.files import write_json
 from tf_lab.support.locks import directory_lock
 
 
@@ -40,8 +43,17 @@ def unfinished(output: Path, name: str) -> Path:
 
 
 def test_a_list_of_all(mine: Path, main_job: Result) -> None:
-    torch.save({"global_step": 3}, unfinished(mine, "half") / "last.ckpt")
-    unfinished(mine, "begun")
+    names = ("one", "two", "one")
+    sessions = [{"commit": n * 13, "code": n, "seconds": 90.0} for n in names]
+    for state, callback, key in (
+        ("half", "TrainingSessions", "sessions"),
+        ("old", "Sittings", "sittings"),
+    ):
+        saved = {"global_step": 3, "callbacks": {callback: {key: sessions}}}
+        torch.save(saved, unfinished(mine, state) / "last.ckpt")
+    torch.save({"global_step": 3}, unfinished(mine, "bare") / "last.ckpt")
+    write_json(unfinished(mine, "begun") / "run.json", {"commit": "three" * 8})
+    write_json(mine / "trainings" / "half" / "run.json", {"commit": "three" * 8})
     (unfinished(mine, "broken") / "model.safetensors").write_bytes(b"damaged")
     out = call("runs").out
     trainings, runs, wrong = out.split("\n\n")
@@ -52,10 +64,15 @@ def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     assert "  finished  " in finished
     assert commits_of([{"commit": commit()}])[:9] in finished
     assert finished.endswith("  Ours / 0")
-    assert "  unfinished at step 3 of 5" in rows.pop("half")
-    assert "  unfinished" in rows.pop("begun")
-    assert "  damaged" in rows.pop("broken")
-    assert not rows
+    cells = {name: re.split(" {2,}", row)[1:] for name, row in rows.items()}
+    half = "unfinished at step 3 of 5"
+    assert cells == {
+        "half": [half, "oneoneone and twotwotwo and threethre", "4.5"],
+        "old": [half, "oneoneone and twotwotwo", "4.5"],
+        "bare": [half, "-", "-"],
+        "begun": ["unfinished", "threethre", "-"],
+        "broken": ["damaged", "-", "-"],
+    }
     (line,) = runs.splitlines()[2:]
     assert line.startswith(main_job.path("run").name)
     fscore = next(x for x in main_job.out.splitlines() if x.startswith("Ours ")).split()[-1]
@@ -158,6 +175,20 @@ def test_what_is_known_of_an_unfinished_one(mine: Path) -> None:
     first = call("runs", "show", "half").out.splitlines()[0]
     row = "Ours: w/o TRSF, avg / 1"
     assert first == f"outputs/trainings/half: {row}, unfinished at step 3 of 5"
+
+
+def test_what_has_just_begun_says_by_which_commit(
+    train: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def begin(module: object, data: Callable[[], object], *_: object, **__: object) -> None:
+        data()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tf_lab.commands.train.fit", begin)
+    output = f"output={tmp_path / 'begun'}"
+    assert train(output).status == 130
+    row = call("runs", output).out.split("\n\n")[0].splitlines()[-1]
+    assert re.split(" {2,}", row)[1:] == ["unfinished", commits_of([{"commit": commit()}]), "-"]
 
 
 def test_a_report_while_the_first_training_runs(

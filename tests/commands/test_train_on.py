@@ -179,6 +179,7 @@ def test_what_does_not_fit_is_named(
     (line,) = result.err.splitlines()
     assert line.startswith("error: ")
     assert message in line
+    assert not Path("outputs").exists()
 
 
 def test_a_state_of_which_the_training_is_removed_is_not_needed(

@@ -70,6 +70,12 @@ def test_what_is_missing(tmp_path: Path) -> None:
     save_chart(views_chart(study), tmp_path / "views")
 
 
+def test_a_single_row_is_alone(tmp_path: Path) -> None:
+    write_run(tmp_path, "views=4", 0, [0.5])
+    (axes,) = rows_chart(open_study([tmp_path])[0]).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["4 images"]
+
+
 def test_files(study: Study, tmp_path: Path) -> None:
     save_chart(views_chart(study), tmp_path / "a" / "chart")
     with Image.open(tmp_path / "a" / "chart.png") as picture:

@@ -222,6 +222,11 @@ def test_markdown_is_aligned(study: Study, make) -> None:
     assert len({line.count("|") for line in lines}) == 1
 
 
+def test_a_narrow_column_has_a_rule_that_markdown_takes() -> None:
+    table = Table("t", "", (Column("name", "N"), Column("p", "p")), ((("a", Number(None)),),))
+    assert markdown(table).splitlines()[1] == "| :- | -: |"
+
+
 def test_numbers_and_text_in_every_format() -> None:
     table = Table(
         "t",

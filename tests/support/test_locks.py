@@ -57,6 +57,46 @@ def test_a_lock_says_who_holds_it_and_outlives_nobody(
     assert lock_holder(directory) is None
 
 
+def test_what_was_made_for_nothing_is_removed(tmp_path: Path) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    for directory in (there, there / "new" / "newer"):
+        with directory_lock(directory, "training") as made:
+            assert made == (directory != there)
+    assert [path.name for path in there.iterdir()] == [".lock"]
+    (there / ".lock").unlink()
+    with directory_lock(there / "new" / "newer", "training"):
+        (there / "new" / "newer" / "result").touch()
+    with directory_lock(there / "new" / "other", "training"):
+        pass
+    assert {path.name for path in there.rglob("*")} == {"new", "newer", ".lock", "result"}
+
+
+def test_who_waits_for_what_is_removed_makes_it_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else two would hold a lock of one name: one of a file that is gone, one of the next."""
+    directory, waits, entered = tmp_path / "training", threading.Event(), threading.Event()
+    done = threading.Event()
+    monkeypatch.setattr(locks, "print", lambda *_, **__: waits.set(), raising=False)
+
+    def wait() -> None:
+        with directory_lock(directory, "training"):
+            entered.set()
+            done.wait(60)
+
+    waiting = threading.Thread(target=wait)
+    with directory_lock(directory, "training"):
+        waiting.start()
+        assert waits.wait(60)
+        assert not entered.is_set()
+    assert entered.wait(60)
+    assert lock_holder(directory) == f"process {os.getpid()} on {socket.gethostname()}"
+    done.set()
+    waiting.join(60)
+    assert not directory.exists()
+
+
 def test_what_another_host_left_locks_nothing(tmp_path: Path) -> None:
     """As after a machine that went down: the note stays, the kernel's lock does not."""
     (tmp_path / ".lock").touch()

@@ -15,7 +15,7 @@ from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.reuse import sessions_of
 from tf_lab.training.callbacks import TrainingSessions
-from tf_lab.training.fit import AtomicSaves, FitSettings, fit
+from tf_lab.training.fit import AtomicSaves, FitSettings, fit, rank_zero_lock
 
 CPU = TrainerSettings(accelerator="cpu", workers=0)
 
@@ -104,6 +104,31 @@ def test_what_is_wrong_with_the_trainer_is_told_before_data_is_made(tmp_path: Pa
     wrong = TrainerSettings(accelerator="cpu", others={"gpus": 3})
     with pytest.raises(TFLabError, match=r"^trainer: .*gpus.*; see the files in conf/trainer$"):
         fit(Line(), data, tmp_path, wrong, FitSettings(9, 2), loggers=[])
+
+
+@pytest.mark.parametrize("before", [[], ["config.yaml"]])
+@pytest.mark.parametrize("result", [[], ["last.ckpt"], ["logs/version_0/metrics.csv"]])
+@pytest.mark.parametrize("error", [TFLabError, KeyboardInterrupt])
+def test_only_a_new_training_without_any_result_leaves_nothing_when_refused(
+    tmp_path: Path, before: list[str], result: list[str], error: type[BaseException]
+) -> None:
+    directory = tmp_path / "trainings" / "one"
+
+    def write(names: list[str]) -> None:
+        for path in (directory / name for name in names):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+
+    write(before)
+    plans = ["config.yaml", "logs/version_0/hparams.yaml"]
+    with pytest.raises(error), rank_zero_lock(directory, "training"):
+        write([*plans, *result])
+        raise error
+    left = {path for path in tmp_path.rglob("*") if path.is_file() and path.name != ".lock"}
+    if error is TFLabError and not before and not result:
+        assert list(tmp_path.iterdir()) == []
+    else:
+        assert left == {directory / name for name in {*before, *plans, *result}}
 
 
 def test_sessions_of_this_version_and_of_old(tmp_path: Path) -> None:

@@ -61,7 +61,10 @@ def run(config: CheckConfig) -> None:
 
 
 def tables(report: Report) -> Iterator[Table]:
-    """The figures of the capture, and the ways to read it with their errors."""
+    """The figures of the capture, and the ways to read it with their errors.
+
+    Where it is fine as it is, others with errors as small, by chance, would only look like advice.
+    """
     if report.statistics is not None:
         table = Table("Capture", "", show_lines=False)
         for name, value in figures(report.statistics):
@@ -73,8 +76,10 @@ def tables(report: Report) -> Iterator[Table]:
     table.add_column("Error (pixels)", justify="right")
     table.add_column("In front", justify="right")
     given, best = report.found.given, report.found.best
-    shown = [c for c in report.found.tried if c.possible and c is not best][:SHOWN]
-    for candidate in [given, *([best] if best is not given else []), *shown]:
+    others = [c for c in report.found.tried if c.possible and c is not best]
+    if report.verdict == FINE:
+        others = [c for c in others if round(c.error, 2) > round(given.error, 2)]
+    for candidate in [given, *([best] if best is not given else []), *others[:SHOWN]]:
         style = "bold" if candidate is best else ""
         table.add_row(*_row(candidate), style=style)
     yield table
@@ -112,6 +117,8 @@ def lines(report: Report, path: Path) -> Iterator[str]:
             "good as can be"
         )
     yield f"{report.matches} matches in {report.pairs} pairs of images{exact}"
+    if report.verdict == FINE:
+        yield "no other way to read the capture has clearly smaller errors than as given"
     if report.found is not None and report.found.focal is not None:
         best, low, high = report.found.focal
         yield (f"focal length: {best:.3f} times the given one fits best ({low:.3f} to {high:.3f})")

@@ -28,7 +28,7 @@ from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.support.devices import device_of
-from tf_lab.support.files import atomic_path, check_file, file_name
+from tf_lab.support.files import atomic_path, check_file, file_name, told_apart
 from tf_lab.support.progress import progress_bar
 from tf_lab.support.words import counted
 
@@ -73,11 +73,15 @@ def run(config: ReconstructConfig) -> None:
 
 
 def _place(config: ReconstructConfig) -> Path:
-    """Where the mesh goes: by default a place of this input's own, because it holds its path."""
+    """Where the mesh goes: by default a place of this input's own, by its path from here.
+
+    Of an input outside of this folder the name is enough, with a hash of its path.
+    """
     if config.output is not None:
         return Path(config.output)
     source, here = Path(os.path.abspath(config.input or "room")), Path.cwd()  # noqa: PTH100
-    path = source.relative_to(here if here in source.parents else source.anchor)
+    inside = here in source.parents
+    path = source.relative_to(here) if inside else Path(told_apart(source.name, str(source)))
     return Path("outputs/reconstructions", path.parent, f"{path.name}.ply")
 
 

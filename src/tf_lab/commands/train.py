@@ -152,15 +152,17 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         [*config.metrics.values()],
     )
 
+    sessions = TrainingSessions()
+
     def data() -> SceneDataModule:  # once nothing more is wrong with the settings
         if not is_helper():
             write_config(config, directory / "config.yaml")
+            write_json(directory / "run.json", sessions.origin)
         train = source.chunks(t.chunk, config.model.near, config.model.far, config.inputs.stereo)
         val = [*source.scenes("val")["val"].values()]
         return SceneDataModule(train, val, config.seed, config.trainer.workers)
 
     validate_every = t.validate_every if source.has("val") else 0
-    sessions = TrainingSessions()
     trainer = fit(
         module,
         data,

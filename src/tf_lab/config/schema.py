@@ -198,7 +198,8 @@ class ReconstructConfig(CaptureConfig):
 
     output: str | None = setting(
         None,
-        "the mesh, .ply or .glb; null: outputs/reconstructions/<path of the input>.ply",
+        "the mesh, .ply or .glb; null: outputs/reconstructions/<path of the input from here>.ply, "
+        "of one outside of this folder <its name>_<hash of its path>.ply",
         kind="path",
     )
     decimate: float = setting(1.0, "share of the mesh's faces that is written", above=0, most=1)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config
@@ -13,8 +13,9 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.identity import row_label
 from tf_lab.experiments.provenance import Origin
-from tf_lab.experiments.reuse import origin_of
+from tf_lab.experiments.reuse import origin_of, sessions_of
 from tf_lab.support.locks import lock_holder
+from tf_lab.support.records import record
 
 T = TypeVar("T")
 TRAININGS, RUNS = "trainings", "runs"
@@ -30,7 +31,7 @@ class Entry:
         state: "finished", "damaged", or `UNFINISHED`, of a training with how far it is.
         user: the process that works on it; None: nobody.
         config: its config; None if that cannot be read.
-        origin: its provenance; empty unless it is finished (an evaluation: begun).
+        origin: its provenance, of an unfinished one as far as it is known.
         fscore: of a finished evaluation that has one.
         problems: one line on each of its files that cannot be read.
     """
@@ -66,7 +67,7 @@ def find_runs(output: Path) -> list[Entry]:
 
 
 def _folders(parent: Path) -> list[Path]:
-    """Those that hold something; one that was refused before it began has a lock only."""
+    """Those that hold something; one that was killed before it began has a lock only."""
     found = parent.iterdir() if parent.is_dir() else ()
     folders = (path for path in found if path.is_dir() and not path.name.startswith("."))
     return sorted(f for f in folders if any(not p.name.startswith(".") for p in f.iterdir()))
@@ -80,25 +81,40 @@ def _training(directory: Path) -> Entry:
     try:
         if (directory / "model.safetensors").exists():
             state, origin = "finished", origin_of(directory)
-        elif last.exists():
+        else:
+            state, origin = UNFINISHED, _begun(directory, problems)
+        if state == UNFINISHED and last.exists():
             assert config is not None
             import torch  # slow to import, and only here needed
 
-            step = torch.load(last, map_location="cpu", mmap=True, weights_only=True)["global_step"]
-            state = f"{UNFINISHED} at step {step} of {config.optimizer.steps}"
-        else:
-            state = UNFINISHED
+            saved = torch.load(last, map_location="cpu", mmap=True, weights_only=True)
+            state += f" at step {saved['global_step']} of {config.optimizer.steps}"
+            origin |= _so_far(saved)
     except Exception as error:  # any damage
         state = "damaged"
         problems.append(str(error) if isinstance(error, TFLabError) else f"{last}: damaged")
     return Entry(directory, state, lock_holder(directory), config, origin, problems=tuple(problems))
 
 
+def _so_far(saved: Mapping[str, Any]) -> Origin:
+    """Which code worked on a training until its last checkpoint, and how long."""
+    callbacks = saved.get("callbacks", {})
+    kept = callbacks.get("TrainingSessions", callbacks.get("Sittings", {}))  # of older versions
+    sessions = record(list[Origin], sessions_of(kept), "sessions")
+    seconds = [each["seconds"] or 0 for each in sessions if "seconds" in each]
+    return Origin(sessions=sessions, seconds=sum(seconds)) if sessions else Origin()
+
+
+def _begun(directory: Path, problems: list[str]) -> Origin:
+    """The provenance that is written when work begins."""
+    return _read(lambda path: origin_of(path.parent), directory / "run.json", problems) or {}
+
+
 def _run(directory: Path) -> Entry:
     problems: list[str] = []
     config = _read(read_config, directory / "config.yaml", problems)
     bad = len(problems)  # of which a run of another version is none the worse
-    origin = _read(lambda path: origin_of(path.parent), directory / "run.json", problems) or {}
+    origin = _begun(directory, problems)
     metrics = _read(lambda path: read_metrics(path.parent), directory / "metrics.json", problems)
     state = "damaged" if problems[bad:] else "finished" if metrics and origin else UNFINISHED
     fscore = metrics.mean.get("fscore") if metrics else None

@@ -74,7 +74,7 @@ def _draw_line(
 def rows_chart(study: Study) -> Figure:
     """F-score of every row in the paper's order: mean, deviation, seeds, and the paper's value."""
     others = [row for row in study.rows if row not in SCORES]
-    rows = [*ABLATIONS, *others, OURS]
+    rows = [row for row in (*ABLATIONS, *others, OURS) if study.shows(row)]
     figure = new_figure(6.6, 0.9 + 0.33 * len(rows), DPI)
     axes = figure.subplots()
     found = {i: s for i, row in enumerate(rows) if len(s := study.scores(row).mean(1))}

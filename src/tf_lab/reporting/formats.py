@@ -74,7 +74,7 @@ def markdown(table: Table) -> str:
         title = f"{column.title} {ARROWS[column.better][0]}".strip()
         head.append(title if column.span in ("", first) else f"{title} ({column.span.lower()})")
     rows = [[_markdown_cell(cell) for cell in row] for group in table.groups for row in group]
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    widths = [max(2, *map(len, column)) for column in zip(head, *rows, strict=True)]
     rule = [":" + "-" * (widths[0] - 1), *("-" * (width - 1) + ":" for width in widths[1:])]
 
     def line(cells: list[str]) -> str:

@@ -63,7 +63,9 @@ def code(text: str) -> str:
 
 
 def table_html(table: Table) -> str:
-    """A table with its caption."""
+    """A table with its caption; nothing if it has no rows."""
+    if not any(table.groups):
+        return ""
     head = "".join(
         f"<th>{escape(f'{c.title} {ARROWS[c.better][0]}'.strip())}</th>" for c in table.columns
     )

@@ -57,6 +57,11 @@ def _orderings() -> list[Ordering]:
 ORDERINGS = tuple(_orderings())
 
 
+def orderings_of(study: Study) -> list[Ordering]:
+    """Those that a study is held against: none, if all runs are of one row."""
+    return [ordering for ordering in ORDERINGS if all(map(study.shows, ordering.weights))]
+
+
 def difference(study: Study, weights: Mapping[str, int]) -> Estimate | None:
     """The weighted sum of rows' F-scores, paired by seed and scene; None if no seed has all."""
     seeds = study.seeds(*weights, metric="fscore")
@@ -77,9 +82,9 @@ def verdict(found: Estimate | None) -> str:
 
 def summary(study: Study) -> str:
     """How many of the paper's orderings hold, in a few lines."""
-    lines = []
-    for family in dict.fromkeys(ordering.family for ordering in ORDERINGS):
-        members = [ordering for ordering in ORDERINGS if ordering.family == family]
+    lines, orderings = [], orderings_of(study)
+    for family in dict.fromkeys(ordering.family for ordering in orderings):
+        members = [ordering for ordering in orderings if ordering.family == family]
         found = [difference(study, ordering.weights) for ordering in members]
         known = [estimate for estimate in found if estimate is not None]
         verdicts = [verdict(estimate) for estimate in known]
@@ -91,4 +96,4 @@ def summary(study: Study) -> str:
         if len(known) < len(members):
             parts.append(f"{len(members) - len(known)} missing")
         lines.append(f"{family}: " + ", ".join(parts))
-    return "\n".join(lines)
+    return "\n".join(lines) or "the paper's orderings compare rows, and there is one only"

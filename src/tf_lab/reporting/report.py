@@ -8,6 +8,7 @@ from pathlib import Path
 from tf_lab.reporting.charts import rows_chart, save_chart, views_chart
 from tf_lab.reporting.formats import Table, comma_separated, latex, markdown
 from tf_lab.reporting.orderings import summary
+from tf_lab.reporting.paper import ABLATIONS
 from tf_lab.reporting.studies import Study
 from tf_lab.reporting.tables import (
     comparison_table,
@@ -32,13 +33,18 @@ def write_report(study: Study, remarks: Sequence[str], output: Path) -> None:
         "comparison": comparison_table(study),
         "seeds": seed_table(study),
         "scenes": scene_table(study),
+        "views": views_table(study),
     }
-    if (views := views_table(study)).groups[0]:
-        pages["views"] = views
     orderings = orderings_table(study)
     for name, table in {**pages, "orderings": orderings}.items():
-        _write(output / f"table_{name}.tex", latex(table))
-        _write(output / f"{name}.csv", comma_separated(table))
+        for path, form in (
+            (output / f"table_{name}.tex", latex),
+            (output / f"{name}.csv", comma_separated),
+        ):
+            if any(table.groups):
+                _write(path, form(table))
+            else:
+                path.unlink(missing_ok=True)  # of another study's report
     _write(output / "runs.csv", comma_separated(runs_table(study)))
     _write(output / "tables.md", tables_page(study, remarks, list(pages.values())))
     _write(output / "orderings.md", orderings_page(study, orderings))
@@ -49,14 +55,20 @@ def write_report(study: Study, remarks: Sequence[str], output: Path) -> None:
 def tables_page(study: Study, remarks: Sequence[str], tables: Sequence[Table]) -> str:
     """What the study is, the remarks on it, and its tables, as Markdown."""
     parts = ["# Results", describe(study), *[f"- {remark}" for remark in remarks]]
-    parts += [f"## {t.name.capitalize()}\n\n{t.caption}\n\n{markdown(t)}" for t in tables]
+    parts += [f"## {t.name.capitalize()}\n\n{_captioned(t)}" for t in tables if any(t.groups)]
     return "\n\n".join(parts) + "\n"
 
 
 def orderings_page(study: Study, orderings: Table) -> str:
     """The paper's orderings as Markdown: how many hold, and each."""
     counts = "\n".join(f"- {line}" for line in summary(study).splitlines())
-    return f"# The paper's orderings\n\n{counts}\n\n{orderings.caption}\n\n{markdown(orderings)}\n"
+    parts = ["# The paper's orderings", counts]
+    parts += [_captioned(orderings)] if any(orderings.groups) else []
+    return "\n\n".join(parts) + "\n"
+
+
+def _captioned(table: Table) -> str:
+    return f"{table.caption}\n\n{markdown(table)}"
 
 
 def describe(study: Study) -> str:
@@ -68,8 +80,11 @@ def describe(study: Study) -> str:
         f"{s['optimizer.steps']} steps; {len(study.scenes)} test scenes, "
         f"meshed at {100 * s['test.resolution']:g} cm."
     )
-    if study.missing:
-        text += f" Missing: {'; '.join(study.missing)}."
+    missing, rows = study.missing, len(ABLATIONS) + 1
+    if missing and study.alone:
+        text += f" {len(missing)} of the paper's {rows} rows have no run yet."
+    elif missing:
+        text += f" Missing: {'; '.join(missing)}."
     return text
 
 

@@ -53,6 +53,15 @@ class Study:
         return [row for row in (*ABLATIONS, OURS) if row not in self.rows]
 
     @property
+    def alone(self) -> bool:
+        """Whether all runs are of one row, so that there is nothing to compare."""
+        return len(self.rows) == 1
+
+    def shows(self, row: str) -> bool:
+        """Whether tables and charts have a row: also one without a run, where rows are compared."""
+        return row in self.rows or not self.alone
+
+    @property
     def scenes(self) -> list[str]:
         """The test scenes."""
         return list(self.settings["test.scenes"])

@@ -10,7 +10,7 @@ import numpy as np
 from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.evaluation.scores import mean_scores
 from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
-from tf_lab.reporting.orderings import ORDERINGS, difference, verdict
+from tf_lab.reporting.orderings import difference, orderings_of, verdict
 from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.statistics import Estimate, deviation
@@ -34,8 +34,9 @@ def main_table(study: Study) -> Table:
 
 
 def inputs_table(study: Study) -> Table:
-    """The paper's ablation of the transformers' inputs."""
-    return _beside_paper(study, "inputs", INPUTS, [[*group] for group in INPUTS.groups])
+    """The paper's ablation of the transformers' inputs, which ours alone is not."""
+    groups = [] if study.rows == [OURS] else [[*group] for group in INPUTS.groups]
+    return _beside_paper(study, "inputs", INPUTS, groups)
 
 
 def short_table(study: Study) -> Table:
@@ -54,7 +55,8 @@ def _beside_paper(
     theirs = [replace(c, key=f"paper_{c.key}") for c in _metrics(metric_columns(), THERE)]
     columns = (ROW, *_metrics(study.metrics, HERE), *theirs)
     body: list[list[Row]] = [
-        [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group] for group in groups
+        [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group if study.shows(row)]
+        for group in groups
     ]
     seeds = ", ".join(map(str, study.seeds()))
     caption = (
@@ -104,10 +106,10 @@ def _with_best(
 
 
 def comparison_table(study: Study) -> Table:
-    """Each row's F-score against ours, paired over seeds and scenes."""
+    """Each row's F-score against ours, paired over seeds and scenes; of one row alone, nothing."""
     columns = (ROW, Column("seeds", "Seeds"), SCORE, *INTERVAL, Column("paper", "Paper"))
     body: list[Row] = []
-    for row in study.rows:
+    for row in [] if study.alone else study.rows:
         found = difference(study, {row: 1, OURS: -1}) if row != OURS else None
         known = row in SCORES and row != OURS
         theirs = SCORES[row]["fscore"] - SCORES[OURS]["fscore"] if known else None
@@ -139,7 +141,7 @@ def orderings_table(study: Study) -> Table:
         Column("verdict", "With 95 %"),
     )
     families: dict[str, list[Row]] = {}
-    for ordering in ORDERINGS:
+    for ordering in orderings_of(study):
         found = difference(study, ordering.weights)
         mean = "missing" if found is None else "holds" if found.mean > 0 else "does not hold"
         numbers = _interval_cells(found)

@@ -32,8 +32,13 @@ def file_name(name: object) -> str:
     fit = _UNFIT.sub("_", text).encode(errors="replace")
     if fit and fit.decode() == text and len(fit) <= MOST_NAME:
         return text
-    digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:8]
-    return f"{fit[: MOST_NAME - 9].decode(errors='ignore')}_{digest}"
+    return told_apart(fit[: MOST_NAME - 9].decode(errors="ignore"), text)
+
+
+def told_apart(name: str, whole: str) -> str:
+    """A name, short for ``whole``, with a hash of that, so that it is of nothing else."""
+    digest = hashlib.sha256(whole.encode(errors="surrogatepass")).hexdigest()[:8]
+    return f"{name}_{digest}"
 
 
 def _prefix() -> str:

@@ -19,7 +19,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, remove_abandoned, telling_no_space
-from tf_lab.support.locks import directory_lock
+from tf_lab.support.locks import LOCK, NOTE, directory_lock
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
 from tf_lab.training.finite import Finite
@@ -27,6 +27,7 @@ from tf_lab.training.objects import arguments_of
 from tf_lab.training.state import read_state
 
 LAST = "last.ckpt"
+PLANS = ("config.yaml", "run.json", "hparams.yaml")  # files that say what is to be done
 IDENTITY = "identity"  # in a checkpoint: of what it was trained with
 
 
@@ -59,14 +60,28 @@ def is_helper() -> bool:
 def rank_zero_lock(directory: Path, activity: str) -> Iterator[None]:
     """Work in a directory while no other training does; what killed ones half wrote is removed.
 
-    The first process of a distributed training holds the lock for all.
+    The first process of a distributed training holds the lock for all. A directory that was made
+    for work which is refused before it has any result is removed.
     """
     if is_helper():
         yield
         return
-    with directory_lock(directory, activity):
+    with directory_lock(directory, activity) as made:
         remove_abandoned(directory)
-        yield
+        try:
+            yield
+        except TFLabError:
+            if made:
+                _remove_plans(directory)
+            raise
+
+
+def _remove_plans(directory: Path) -> None:
+    """Empty a directory in which there are plans only, and no result."""
+    paths = [path for path in directory.rglob("*") if path.name not in (LOCK, NOTE)]
+    if all(path.is_dir() or path.name in PLANS for path in paths):
+        for path in sorted(paths, reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
 
 
 def fit(

@@ -35,6 +35,7 @@ from tf_lab.data.readers import (
     video,
 )
 from tf_lab.data.readers.mend import mended
+from tf_lab.data.readers.parsing import HOW_TO_POSES
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.scene import Scene
@@ -139,10 +140,8 @@ def _why_unknown(path: Path) -> str:
         return f"holds captures, and is none itself; give one of them, such as {inner}"
     if found := _pictures(path):
         return (
-            f"{found}, but no camera poses; find them by COLMAP or nerfstudio, or film with an app "
-            "that records them (docs/own_video.md says how); poses of your own go into poses.txt "
-            "(a camera-to-world matrix a line) and K.txt beside the video or images/ "
-            "(docs/data.md); of a known layout, format=NAME says which of its files is missing"
+            f"{found}, but no camera poses; {HOW_TO_POSES}; of a known layout, format=NAME says "
+            "which of its files is missing"
         )
     layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
     empty = path.is_dir() and not any(path.iterdir())

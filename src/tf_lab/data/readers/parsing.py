@@ -18,6 +18,11 @@ from tf_lab.support.text import parse_numbers, read_lines, read_numbers, read_te
 
 MAX_GAP = 0.02  # seconds between an image and its pose: under a frame at 30 Hz
 K_CURE = "it holds the 3x3 intrinsics of the colour images in pixels: fx 0 cx / 0 fy cy / 0 0 1"
+HOW_TO_POSES = (  # where images or a video have none
+    "find them by COLMAP or nerfstudio, or film with an app that records them (docs/own_video.md "
+    "says how); poses of your own go into poses.txt (a camera-to-world matrix a line) and K.txt "
+    "beside the video or images/ (docs/data.md)"
+)
 ROUNDING = 1e-6  # seconds; timestamps are written with six decimals
 
 

@@ -25,9 +25,10 @@ import numpy as np
 
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers.images import image_files, image_size
-from tf_lab.data.readers.parsing import read_camera, read_pose
+from tf_lab.data.readers.parsing import HOW_TO_POSES, read_camera, read_pose
 from tf_lab.data.readers.source import ColorFile, DepthFile, Rig, SourceCapture, collect
 from tf_lab.errors import TFLabError
+from tf_lab.support.words import counted
 
 CURE = "it holds the 4x4 pose, camera to world"
 NAME = "seven_scenes"
@@ -48,7 +49,7 @@ def read(directory: Path) -> SourceCapture:
     """The sequence in its own world frame. A frame without a readable pose file is skipped.
 
     Raises:
-        TFLabError: no usable frame, or no good intrinsics.
+        TFLabError: no poses, no usable frame, or no good intrinsics.
     """
     colors = {
         path.name.split(".")[0]: path
@@ -60,8 +61,13 @@ def read(directory: Path) -> SourceCapture:
             f"{directory}: no frame-XXXXXX.color.jpg or .png in it; give the folder "
             "that holds the frames themselves"
         )
-    rig = _rig(directory / "camera-intrinsics.txt", list(colors.values()))
     posed = sorted(path.name.split(".")[0] for path in directory.glob("frame-*.pose.txt"))
+    if not posed:
+        raise TFLabError(
+            f"{directory}: {counted(len(colors), 'image')}, but no camera poses "
+            f"(frame-XXXXXX.pose.txt); {HOW_TO_POSES}"
+        )
+    rig = _rig(directory / "camera-intrinsics.txt", list(colors.values()))
     skipped = [f"{name}: no colour image" for name in posed if name not in colors]
     frames = []
     for name, color in colors.items():
