@@ -65,6 +65,8 @@ def _acquire(lock: FileLock, directory: Path, activity: str) -> list[Path]:
             except Timeout:
                 print(f"waiting for {lock_holder(directory)}: {activity} {directory}", flush=True)
                 lock.acquire()
+                if not made and _is_empty(directory):  # whoever made it has given up, and left it
+                    made = [directory]
             return made
         except (FileNotFoundError, FileExistsError):  # whoever made it has removed it meanwhile
             tries -= 1
@@ -75,10 +77,15 @@ def _acquire(lock: FileLock, directory: Path, activity: str) -> list[Path]:
 def _remove_empty(made: list[Path]) -> None:
     """Remove folders that hold nothing but the lock; who waits for that makes them anew."""
     with contextlib.suppress(OSError):  # somebody else has put something into them
-        if [path.name for path in made[0].iterdir()] == [LOCK]:
+        if _is_empty(made[0]):
             (made[0] / LOCK).unlink()
             for folder in made:
                 folder.rmdir()
+
+
+def _is_empty(directory: Path) -> bool:
+    """Whether it holds nothing but the lock."""
+    return [path.name for path in directory.iterdir()] == [LOCK]
 
 
 def lock_holder(directory: Path) -> str | None:
