@@ -155,7 +155,7 @@ def test_encoder_weights_are_known_by_their_content(checkpoint: Path, tmp_path: 
         (
             ["init=shipped"],
             "tiny.safetensors: of another network: width is 32 there and 8 here; give "
-            "encoder=efficientnet_lite0 inputs=matching",
+            "encoder=efficientnet_lite0 inputs=stereo",
         ),
         (["init=CHECKPOINT", "refine=false"], "refine is True there and False here"),
         (["init=CHECKPOINT", "encoder.fine_stride=4"], "encoder.fine_stride is 2 there and 4 here"),

@@ -79,7 +79,7 @@ def _remap(image: np.ndarray, x: np.ndarray, y: np.ndarray, height: int) -> np.n
         )
         for start in range(0, len(x), rows)
     ]
-    return np.concatenate(parts)
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 class _Windows:
