@@ -58,7 +58,7 @@ class NetworkConfig(NetworkSizes):
     depth: bool = True
     ray: bool = True
     matching: bool = False
-    stereo: bool = False
+    stereo: bool = setting(False, absent=False)
     refine: bool = True
     filter: bool = True
     near: float = setting(0.3, least=0)

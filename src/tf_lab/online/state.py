@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 
 import torch
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
+from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.frames import Frames, check_camera
 from tf_lab.online.lattice.blocks import HALF
 from tf_lab.online.lattice.level import Level
@@ -120,9 +121,19 @@ def _restore(level: Level, tensors: Mapping[str, Tensor], frames: int) -> None:
     level.store.dirty[:] = level.store.seen > 0
 
 
+def _described(config: NetworkConfig) -> str:
+    """Its settings, without those that came later and mean what was before."""
+    said = [
+        f"{field.name}={getattr(config, field.name)!r}"
+        for field in fields(config)
+        if getattr(config, field.name) is not field.metadata.get("absent", MISSING)
+    ]
+    return f"{type(config).__name__}({', '.join(said)})"
+
+
 def fingerprint(network: Network) -> str:
     """Tells networks with other weights apart."""
-    digest = hashlib.sha256(repr(network.config).encode())
+    digest = hashlib.sha256(_described(network.config).encode())
     for name, tensor in sorted(network.state_dict().items()):
         digest.update(name.encode())
         digest.update(tensor.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy())
