@@ -109,6 +109,6 @@ def test_a_scene_that_has_none_is_named_and_the_others_get_theirs(
     for path in (good, bad):
         shutil.copytree(scene.directory, path, ignore=shutil.ignore_patterns("stereo-*"))
     (bad / "color" / f"{scene.frames[3]}.jpg").write_bytes(b"no image")
-    with pytest.raises(TFLabError, match=f"1 of 2 scenes have no stereo; {bad}: .*{bad}"):
+    with pytest.raises(TFLabError, match=f"stereo depth of 1 of 2 scenes .* the first: {bad}"):
         prepare_stereo([bad, good], EXACT, 1)
     assert stereo_path(good, EXACT).exists() and not stereo_path(bad, EXACT).exists()

@@ -32,7 +32,7 @@ def prepare_stereo(scenes: Sequence[Path], noise: CameraNoise, workers: int | No
     """Write the maps that are missing, one process a scene.
 
     Raises:
-        TFLabError: those of some scenes cannot be made (after all others were); names them.
+        TFLabError: those of some scenes cannot be made (after all others were); says of one why.
     """
 
     def missing() -> list[Path]:
@@ -45,8 +45,9 @@ def prepare_stereo(scenes: Sequence[Path], noise: CameraNoise, workers: int | No
             locks.enter_context(directory_lock(folder, "stereo depth of"))
         tasks = {str(scene): partial(write_stereo, scene, noise) for scene in missing()}
         failed = run_tasks(tasks, "stereo depth", workers) if tasks else {}
-    for name, reason in failed.items():
-        raise TFLabError(f"{len(failed)} of {len(tasks)} scenes have no stereo; {name}: {reason}")
+    if failed:
+        first, count = next(iter(failed.values())), f"{len(failed)} of {len(tasks)} scenes"
+        raise TFLabError(f"stereo depth of {count} cannot be computed; the first: {first}")
 
 
 def stereo_path(scene: Path, noise: CameraNoise) -> Path:
