@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from tf_lab.stereo.cost import View, sweep
 from tf_lab.stereo.smoothing import EDGE, aggregate
@@ -56,6 +57,19 @@ def test_scores_are_the_correlation_of_windows() -> None:
     np.testing.assert_allclose(sweep(view, sources, inverse, 3, 1), np.maximum(*every))
     both = sweep(view, sources, inverse, 3, 2)
     np.testing.assert_allclose(both, np.mean(every, axis=0), atol=1e-6)
+
+
+def test_threads_change_nothing() -> None:
+    view = View(noise(0), K, pose())
+    sources = [View(noise(i), K, pose(0.1 * i)) for i in range(1, 5)]
+    inverse = np.linspace(0.3, 1.0, 20)
+    alone = sweep(view, sources, inverse, 3, 2)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        np.testing.assert_array_equal(sweep(view, sources, inverse, 3, 2), alone)
+    finally:
+        torch.set_num_threads(threads)
 
 
 def test_what_a_source_does_not_see_scores_least() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 
 LEAST_DEPTH = 1e-3  # metres, before a source
 FLAT = 1e-6  # variance of a window (grey values are 0..1) that counts as none
@@ -36,15 +38,28 @@ def sweep(
         float32 [P, H, W] in -1..1; -1 counts for a source that does not see the point.
     """
     here = _Windows(view.grey[None], window)
-    top: list[np.ndarray] = []  # the greatest so far at every pixel, in order
-    for source in sources:
+
+    def score_of(source: View) -> np.ndarray:
         warped, seen = _warp(view, source, inverse)
-        score = np.where(seen, here.correlation(_Windows(warped, window)), np.float32(-1))
+        return np.where(seen, here.correlation(_Windows(warped, window)), np.float32(-1))
+
+    top: list[np.ndarray] = []  # the greatest so far at every pixel, in order
+    for score in _mapped(score_of, sources):
         for k, known in enumerate(top):
             top[k], score = np.maximum(known, score), np.minimum(known, score)
         if len(top) < best:
             top.append(score)
     return np.mean(top, axis=0)
+
+
+def _mapped(score_of: Callable[[View], np.ndarray], views: Sequence[View]) -> Iterator[np.ndarray]:
+    """Scores of views in their order, by as many threads as torch has: they wait for no lock."""
+    threads = min(torch.get_num_threads(), len(views))
+    if threads == 1:
+        yield from map(score_of, views)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        yield from pool.map(score_of, views)
 
 
 def _warp(view: View, source: View, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
