@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tf_lab.data.chunk_sampler import ChunkSampler
-from tf_lab.data.chunks import make_batch
+from tf_lab.data.chunks import ChunkRecord, make_batch
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import CameraNoise, ChunkSettings
 from tf_lab.data.stereo_maps import prepare_stereo, read_stereo, stereo_path, write_stereo
@@ -72,11 +72,11 @@ def test_chunks_hold_the_maps_of_their_images(scene: Scene) -> None:
     assert make_batch([plain], SMALL, 0, 0, 0).stereo is None
 
 
-def _same_image(record: object, image: torch.Tensor) -> list[bool]:
+def _same_image(record: ChunkRecord, image: torch.Tensor) -> list[bool]:
     found = []
-    for i in range(len(record.images)):  # type: ignore[attr-defined]
+    for i in range(len(record.images)):
         decoded = np.empty((1, *image.shape), np.uint8)
-        record.decode([i], decoded)  # type: ignore[attr-defined]
+        record.decode([i], decoded)
         found.append(bool((torch.from_numpy(decoded[0]) == image).all()))
     return found
 
