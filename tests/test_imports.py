@@ -19,7 +19,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("geometry",),
     ("meshes", "stereo"),
     ("network", "data"),
-    ("online",),
+    ("poses", "online"),
     ("evaluation",),
     ("config",),
     ("experiments",),

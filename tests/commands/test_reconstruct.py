@@ -114,6 +114,22 @@ def test_without_an_input_a_test_room_is_scored(reconstruct: Callable[..., Resul
     assert Path("outputs/reconstructions/room_2000000.ply").exists()
 
 
+def test_poses_are_refined_where_that_explains_much(reconstruct: Callable[..., Result]) -> None:
+    """Another mesh of wrong cameras; and good ones are said to be kept."""
+    wrong = ("camera_noise.translation=0.01", "camera_noise.rotation=0.5")
+    faces = []
+    for refine in ("true", "false"):
+        result = reconstruct(*ROOM, *wrong, f"refine_poses={refine}", f"output={refine}.ply")
+        assert result.status == 0, result.err
+        assert ("poses refined: points are seen where they are to " in result.out) == (
+            refine == "true"
+        )
+        faces.append(len(load(Path(f"{refine}.ply")).faces))
+    assert faces[0] != faces[1]
+    kept = reconstruct(*ROOM, "refine_poses=true", "output=kept.ply")
+    assert "poses as given: " in kept.out
+
+
 def test_a_capture_with_depth_is_scored_too(
     reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]], mine: Path
 ) -> None:

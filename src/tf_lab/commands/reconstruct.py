@@ -27,6 +27,7 @@ from tf_lab.meshes.glb import glb_of
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.poses.refined import Refined
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file, file_name, told_apart
 from tf_lab.support.progress import progress_bar
@@ -56,7 +57,8 @@ def run(config: ReconstructConfig) -> None:
     if config.input is None and config.output is None:
         output = output.with_stem(file_name(capture.name))
     start = time.time()
-    result = _reconstruct(network, Disturbed(capture, config.camera_noise), config)
+    posed = _posed(capture, config)
+    result = _reconstruct(network, posed, config)
     seconds = time.time() - start
     mesh = result.mesh
     if config.source_frame:
@@ -83,6 +85,32 @@ def _place(config: ReconstructConfig) -> Path:
     inside = here in source.parents
     path = source.relative_to(here) if inside else Path(told_apart(source.name, str(source)))
     return Path("outputs/reconstructions", path.parent, f"{path.name}.ply")
+
+
+def _posed(capture: Capture, config: ReconstructConfig) -> Capture:
+    """The capture with the cameras that it is reconstructed with."""
+    posed: Capture = Disturbed(capture, config.camera_noise)
+    if not config.refine_poses:
+        return posed
+    with progress_bar() as bar:
+        task = bar.add_task("following points", total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        refined = Refined(posed, capture_settings(config).keyframe_distance, progress=show)
+    change = refined.change
+    fit = f"{change.after:.2f} pixels instead of {change.before:.2f}"
+    if not change.sightings:
+        print("poses as given: no points could be followed through three keyframes")
+    elif change.kept:
+        print(f"poses as given: others would explain the images little better ({fit})")
+    else:
+        print(
+            f"poses refined: points are seen where they are to {fit}; keyframes turned by "
+            f"{change.turn:.2f} degrees and moved by {1000 * change.move:.1f} mm in the median"
+        )
+    return refined
 
 
 def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) -> Reconstruction:

@@ -212,6 +212,10 @@ class ReconstructConfig(CaptureConfig):
     camera_noise: CameraNoise = setting(
         CameraNoise(), "make the cameras wrong first, to see what that costs"
     )
+    refine_poses: bool = setting(
+        False,
+        "adjust the poses to what the images show, where that explains much (docs/reconstruct.md)",
+    )
 
 
 @dataclass(frozen=True)

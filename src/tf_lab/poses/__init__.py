@@ -1,0 +1,1 @@
+"""Given poses made more exact by what the images show: points followed, bundle adjustment."""
