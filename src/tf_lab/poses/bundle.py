@@ -43,7 +43,7 @@ DEVIATIONS = Deviations()
 
 
 class _Problem:
-    """The cost of poses and points, and its normal equations."""
+    """The cost of poses and points, and the steps that lower it."""
 
     def __init__(
         self, tracks: Tracks, K: np.ndarray, world_T_cam: np.ndarray, deviations: Deviations
@@ -99,7 +99,7 @@ class _Problem:
         return error, local
 
     def cost(self, R: np.ndarray, t: np.ndarray, points: np.ndarray) -> float:
-        """Half of what `normal_equations` lowers."""
+        """What `step` lowers."""
         error, _ = self.errors(R, t, self.world(points)[0])
         tail = TAIL**2 * np.log1p((error**2).sum(1) / TAIL**2)
         return 0.5 * float(tail.sum() + (self.prior * self.offsets(R, t) ** 2).sum())
