@@ -94,6 +94,8 @@ def test_of_no_steps_the_weights_are_tested_as_they_are(
     assert (result.status, result.err) == (0, "")
     assert different(weights(result), load_file(checkpoint)) == []
     assert (result.path("run") / "metrics.json").exists()
+    origin = json.loads((result.path("training") / "run.json").read_text())
+    assert origin["commit"] and "optimizer.steps=0" in origin["command"]
     assert [path.name for path in rooms.glob("*/*")] == ["test"]
     told(train(none, output), "optimizer.steps=0", "give init=")
     state = train(NO_TEST, "optimizer.steps=2", output).path("training") / "last.ckpt"

@@ -70,6 +70,14 @@ def test_what_is_missing(tmp_path: Path) -> None:
     save_chart(views_chart(study), tmp_path / "views")
 
 
+def test_no_row_of_the_chart_was_run(tmp_path: Path) -> None:
+    """It says so, in place of an empty half."""
+    write_run(tmp_path, "fusion=avg", 0, [0.4])
+    here, there = views_chart(open_study([tmp_path])[0]).axes
+    assert [text.get_text() for text in here.texts] == ["no run of these rows"]
+    assert len(lines(there)) == 2 and not there.texts
+
+
 def test_a_single_row_is_alone(tmp_path: Path) -> None:
     write_run(tmp_path, "views=4", 0, [0.5])
     (axes,) = rows_chart(open_study([tmp_path])[0]).axes

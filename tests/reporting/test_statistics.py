@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tf_lab.reporting.statistics import SMALLEST_P, deviation, estimate
+from tf_lab.reporting.statistics import SMALLEST_P, deviation, estimate, holm
 
 
 def test_deviation() -> None:
@@ -95,3 +95,11 @@ def test_one_pair_has_no_interval() -> None:
 def test_the_same_at_every_call() -> None:
     values = np.random.default_rng(6).normal(0, 1, (3, 4))
     assert estimate(values) == estimate(values)
+
+
+def test_holm() -> None:
+    """The example by hand: the smallest times all, the next times one fewer, never falling."""
+    found = holm([0.01, 0.04, None, 0.03, 0.005])
+    assert found == pytest.approx([0.03, 0.06, None, 0.06, 0.02])
+    assert holm([0.6, 0.7]) == [1.0, 1.0]
+    assert holm([None]) == [None]

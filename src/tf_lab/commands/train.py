@@ -188,8 +188,10 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     _start(config, directory)
     network = make_network(config)
     if not is_helper():
+        sessions = TrainingSessions()
         write_config(config, directory / "config.yaml")
-        info = {**TrainingSessions().summary(), "config": portable_config(config)}
+        write_json(directory / "run.json", sessions.origin)
+        info = {**sessions.summary(), "config": portable_config(config)}
         save_network(network, checkpoint, {"training": info})
 
 

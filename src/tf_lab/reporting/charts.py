@@ -42,6 +42,9 @@ def views_chart(study: Study) -> Figure:
         for axes, values in ((here, found), (there, theirs)):
             if values:
                 _draw_line(axes, values, name, color, marker, shift)
+    if not here.containers:
+        nothing = "no run of these rows"
+        here.text(0.5, 0.5, nothing, ha="center", transform=here.transAxes)
     here.set(title=f"This study ({_repetitions(study)})", ylabel="F-score")
     there.set(title="Paper (ScanNet)")
     for axes in (here, there):

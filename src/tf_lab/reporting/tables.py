@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +10,10 @@ import numpy as np
 from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.evaluation.scores import mean_scores
 from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
-from tf_lab.reporting.orderings import difference, orderings_of, verdict
+from tf_lab.reporting.orderings import Ordering, difference, orderings_of, verdict
 from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
 from tf_lab.reporting.results import Run
-from tf_lab.reporting.statistics import Estimate, deviation
+from tf_lab.reporting.statistics import Estimate, deviation, holm
 from tf_lab.reporting.studies import Study
 
 ROW = Column("row", "Method")
@@ -132,28 +132,44 @@ def _interval_cells(found: Estimate | None) -> list[Number]:
 
 
 def orderings_table(study: Study) -> Table:
-    """The paper's orderings: does each hold, and how sure is it?"""
+    """The orderings: does each hold, how sure is it, and what does that rest on?"""
     columns = (
         Column("claim", "Ordering"),
+        Column("seeds", "Seeds"),
+        Column("scenes", "Scenes"),
         *INTERVAL,
+        Column("p_corrected", "p, corrected"),
         Column("paper", "Paper"),
         Column("mean", "In the mean"),
         Column("verdict", "With 95 %"),
     )
-    families: dict[str, list[Row]] = {}
+    families: dict[str, list[Ordering]] = {}
     for ordering in orderings_of(study):
-        found = difference(study, ordering.weights)
-        mean = "missing" if found is None else "holds" if found.mean > 0 else "does not hold"
-        numbers = _interval_cells(found)
-        theirs = Number(ordering.paper, "+.3f")
-        families.setdefault(ordering.family, []).append(
-            (ordering.claim, *numbers, theirs, mean, verdict(found))
-        )
+        families.setdefault(ordering.family, []).append(ordering)
+    body = tuple(tuple(_ordering_rows(study, members)) for members in families.values())
     caption = (
-        "The orderings of the paper's F-scores. A difference above zero agrees with the paper; "
-        "undecided: the interval includes zero."
+        "The orderings of the paper's F-scores, and of the selection that is ours. A difference "
+        "above zero is as claimed; undecided: the interval includes zero. Each interval and p is "
+        "of one claim by itself; p, corrected, is Holm's for the claims of one block."
     )
-    return Table("orderings", caption, columns, tuple(map(tuple, families.values())))
+    return Table("orderings", caption, columns, body)
+
+
+def _ordering_rows(study: Study, members: Sequence[Ordering]) -> Iterator[Row]:
+    found = [difference(study, ordering.weights) for ordering in members]
+    corrected = holm([None if each is None else each.p for each in found])
+    for ordering, each, p in zip(members, found, corrected, strict=True):
+        mean = "missing" if each is None else "holds" if each.mean > 0 else "does not hold"
+        seeds = len(study.seeds(*ordering.weights, metric="fscore"))
+        yield (
+            ordering.claim,
+            *(str(seeds), str(len(study.scenes) if seeds else 0)),
+            *_interval_cells(each),
+            Number(p, ".4f"),
+            Number(ordering.paper, "+.3f"),
+            mean,
+            verdict(each),
+        )
 
 
 def seed_table(study: Study) -> Table:

@@ -5,6 +5,7 @@ Matplotlib takes a second to import: only who draws waits for it.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 DPI = 150
 HEADING, TITLE, SMALL = 13, 10, 8  # points
 PANEL = 3.1  # inches across
+CHARACTERS = 12  # of a title an inch is wide enough for
 
 
 def new_figure(width: float, height: float, dpi: float = DPI) -> Figure:
@@ -52,7 +54,7 @@ def panel_grid(
         axes.set_axis_off()
     for axes, (title, image) in zip(grid.flat, panels.items(), strict=False):
         axes.imshow(image)
-        axes.set_title(title, fontsize=TITLE)
+        axes.set_title(textwrap.fill(title, round(CHARACTERS * width)), fontsize=TITLE)
     return figure
 
 
