@@ -77,6 +77,47 @@ def test_chunks_whose_voxels_changed_wait(session: Session) -> None:
         session.growth.settle()
 
 
+def test_chunks_with_and_without_surface_take_turns(session: Session) -> None:
+    """Frames reach behind walls: what they changed there must not keep the mesh from growing."""
+    session.jump(3)
+    finish(session)
+    growth = session.growth
+    seen = list(growth.pieces)[:2]
+    behind = [(90, 90, z) for z in range(4)]  # where no voxels are
+    growth.stale.update({seen[0]: 1, seen[1]: 2} | {c: 10 + c[2] for c in behind})
+    order = []
+    while growth.stale:
+        left = set(growth.stale)
+        assert growth.mesh_next() == {}
+        order += left - set(growth.stale)
+    assert order == [seen[1], behind[3], seen[0], behind[2], behind[1], behind[0]]
+
+
+def test_chunks_that_come_out_as_before_let_one_frame_pass(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame takes 0.1 s here, a chunk nothing, and the mesh is old after 0.25 s."""
+    now, done = [100.0], []
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(module, "REFRESH", 0.25)
+    monkeypatch.setattr(session.growth, "add", lambda *_: now.append(now.pop() + 0.1))
+    outcomes = iter([{}, {}, {(0, 0, 0): None}, {}])
+
+    def mesh_next(roughly: bool) -> Any:
+        assert roughly  # there are frames to come
+        done.append(session.position)
+        return next(outcomes)
+
+    monkeypatch.setattr(session.growth, "mesh_next", mesh_next)
+    session.growth.stale[0, 0, 0] = 9
+    session.frames, session.speed = [0] * 20, 1000
+    session.play(True)
+    while len(done) < 4:
+        session.work()
+    # at once; after one frame each; after three (0.3 s) the mesh is old again
+    assert done == [0, 1, 2, 5]
+
+
 def click(session: Session, scene: Scene) -> tuple[np.ndarray, Any]:
     """Click the middle of the face that most frames see, from the front: it, and what is told."""
     mesh = whole(session.listener)

@@ -39,6 +39,7 @@ class Growth:
         self.sources: list[int] = []
         self.settled = True
         self._parts: dict[Chunk, Part] = {}  # of the surface, as they were last seen
+        self._known = False  # whether the last chunk was one with a surface, if there was any
 
     def __len__(self) -> int:
         return len(self.sources)
@@ -58,7 +59,7 @@ class Growth:
         Args:
             roughly: as of `Reconstructor.update`; only `settle` makes that good everywhere.
         """
-        ((chunk, _),) = self.stale.most_common(1)
+        chunk = self._most_urgent()
         del self.stale[chunk]
         low = np.array(chunk) * CHUNK
         self.reconstructor.update((low + SPREAD, low + CHUNK - SPREAD), roughly)
@@ -89,6 +90,16 @@ class Growth:
         if not found:
             return None
         return np.array(min(found, key=lambda point: float((point - origin) @ direction)))
+
+    def _most_urgent(self) -> Chunk:
+        """Of the stale chunks the one that frames changed most often.
+
+        By turns of those with a surface and of those without: frames reach behind walls, and
+        while all that is there was looked at, the mesh would stay as it is.
+        """
+        self._known = not self._known
+        kind = [chunk for chunk in self.stale if (chunk in self.pieces) == self._known]
+        return max(kind or self.stale, key=self.stale.__getitem__)
 
     def _news(self) -> Pieces:
         """Chunks whose surface is another one than when this was last asked."""

@@ -29,6 +29,7 @@ from tf_lab.viewer.paint import MODES, painter
 log = logging.getLogger(__name__)
 
 REFRESH = 0.15  # seconds after which the mesh comes before the next frame
+AGAIN = 0.015  # the same after a chunk that came out as before: time for one frame
 
 
 class Listener(Protocol):
@@ -106,6 +107,7 @@ class Session:
         self._unpainted: set[Chunk] = set()
         self._stopped, self._trouble = False, ""
         self._due = self._meshed = 0.0
+        self._patience = REFRESH
         self._wake = threading.Condition()
 
     # what others ask for
@@ -182,7 +184,7 @@ class Session:
         """Do the most urgent bit; False if there is none.
 
         Frames come when they are due, but the mesh is never older than `REFRESH` where that can
-        be helped.
+        be helped; chunks that come out as before do not count.
         """
         with self._wake:
             job, busy = self._next()
@@ -196,7 +198,7 @@ class Session:
         growth = self.growth
         if self._repaint:  # the mesh as it is now: only this thread changes it
             self._repaint, self._unpainted = False, set(growth.pieces)
-        old = time.monotonic() - self._meshed > REFRESH
+        old = time.monotonic() - self._meshed > self._patience
         if self._restart:
             return self._begin, "starting again"
         if self._ray is not None:
@@ -246,9 +248,10 @@ class Session:
         self._pick_again = True
 
     def _tell(self, pieces: Pieces) -> None:
-        self._meshed = time.monotonic()
         for chunk in pieces:
             self._paint(chunk)
+        self._meshed = time.monotonic()
+        self._patience = REFRESH if pieces else AGAIN
         if self.point is not None and pieces:
             self._look()
 
