@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -47,6 +48,20 @@ def test_rows_are_told_from_the_config_and_share_their_settings(
 def test_what_else_differs_makes_runs_incomparable(tmp_path: Path, other: str) -> None:
     ours = read_run(write_run(tmp_path, "", 0, [0.5]))
     assert read_run(write_run(tmp_path, other, 0, [0.5])).settings != ours.settings
+
+
+def test_networks_that_are_only_tested_are_rows_of_one_study(tmp_path: Path) -> None:
+    """A study's networks on a second test set: each run begins with another one."""
+
+    def settings(steps: int) -> list[dict[str, Any]]:
+        given = ("content.init=abc", "fusion=avg content.init=def")
+        runs = [write_run(tmp_path, f"{o} optimizer.steps={steps}", 0, [0.5]) for o in given]
+        return [read_run(run).settings for run in runs]
+
+    tested, trained = settings(0), settings(10)
+    assert tested[0] == tested[1]
+    assert trained[0] != trained[1]  # trained on from other weights: no question of the row
+    assert tested[0] != read_run(write_run(tmp_path, "optimizer.steps=10", 0, [0.5])).settings
 
 
 def test_other_scenes_are_incomparable(tmp_path: Path) -> None:

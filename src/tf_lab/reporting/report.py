@@ -62,7 +62,7 @@ def tables_page(study: Study, remarks: Sequence[str], tables: Sequence[Table]) -
 def orderings_page(study: Study, orderings: Table) -> str:
     """The paper's orderings as Markdown: how many hold, and each."""
     counts = "\n".join(f"- {line}" for line in summary(study).splitlines())
-    parts = ["# The paper's orderings", counts]
+    parts = ["# Orderings", counts]
     parts += [_captioned(orderings)] if any(orderings.groups) else []
     return "\n\n".join(parts) + "\n"
 
