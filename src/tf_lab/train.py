@@ -13,7 +13,8 @@ main = command(
     "train",
     __doc__,
     "tf_lab.commands.train:run",
-    keeps="what is finished and the last checkpoint are kept, the same command goes on from them",
+    keeps="what is finished and the last checkpoint are kept, the same command goes on from them; "
+    "a test begins again",
     jobs="tf_lab.commands.train:JOBS",
 )
 

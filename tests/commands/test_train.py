@@ -280,5 +280,5 @@ def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outp
     assert result.status == 130
     assert result.err == (
         "interrupted: what is finished and the last checkpoint are kept, the same command goes on "
-        "from them\n"
+        "from them; a test begins again\n"
     )

@@ -97,7 +97,10 @@ def test_of_no_steps_the_weights_are_tested_as_they_are(
     origin = json.loads((result.path("training") / "run.json").read_text())
     assert origin["commit"] and "optimizer.steps=0" in origin["command"]
     assert [path.name for path in rooms.glob("*/*")] == ["test"]
+    folder = train(none, f"init={checkpoint.parent}", output, f"data.root={rooms}")
+    assert f"reusing the identical finished evaluation {result.path('run')}" in folder.out
     told(train(none, output), "optimizer.steps=0", "give init=")
+    told(train(none, f"init={tmp_path}", output), f"{tmp_path / 'model.safetensors'}: no such")
     state = train(NO_TEST, "optimizer.steps=2", output).path("training") / "last.ckpt"
     told(train(none, f"init={state}", output), f"init={state}: is at step 2")
 

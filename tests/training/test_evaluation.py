@@ -10,6 +10,7 @@ import lightning as L
 import pytest
 import torch
 import trimesh
+from rich.progress import Progress, TaskID
 
 from tf_lab.data.scene import Scene
 from tf_lab.evaluation import PAPER
@@ -71,7 +72,11 @@ def prediction(scene: Scene) -> trimesh.Trimesh:
 def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]) -> Evaluate:
     """Evaluates some of the scenes by so many processes; returns the module and the run."""
 
-    def reconstruct(network: object, scene: Scene, settings: object) -> Reconstruction:
+    def reconstruct(
+        network: object, scene: Scene, settings: object, progress: Callable[[int, int], None]
+    ) -> Reconstruction:
+        for done in (1, 2):
+            progress(done, 2)
         return Reconstruction(prediction(scene), [0, 1], [f"by {os.getpid()}"])
 
     monkeypatch.setattr("tf_lab.training.evaluation.reconstruct", reconstruct)
@@ -89,6 +94,26 @@ def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]
 
 def stored(run: Path) -> dict[str, Any]:
     return json.loads((run / "metrics.json").read_text())
+
+
+def test_the_bar_says_where_in_a_scene_the_work_is(
+    evaluate: Evaluate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[str] = []
+    update = Progress.update
+
+    def noted(bar: Progress, task: TaskID, **what: Any) -> None:
+        shown.append(what["description"])
+        update(bar, task, **what)
+
+    monkeypatch.setattr(Progress, "update", noted)
+    module, _ = evaluate("shown", 2, devices=1)
+    first = f", last F {module.results['room0'].scores['fscore']:.3f}"
+    second = f", last F {module.results['room1'].scores['fscore']:.3f}"
+    assert shown == [
+        *("testing room0 1/2", "testing room0 meshing", f"testing{first}"),
+        *(f"testing room1 1/2{first}", f"testing room1 meshing{first}", f"testing{second}"),
+    ]
 
 
 def test_one_process_writes_what_the_protocol_says(evaluate: Evaluate, scenes: list[Path]) -> None:

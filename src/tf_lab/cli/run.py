@@ -120,7 +120,7 @@ def _one_line(error: Exception, about: str) -> str:
 
 def _quieten() -> None:
     """Keep libraries' advertisements and their remarks on our own choices off the screen."""
-    for chatty in ("lightning.pytorch", "fontTools"):
+    for chatty in ("lightning.pytorch", "fontTools", "matplotlib.font_manager"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     for message in (
         ".*isinstance.treespec, LeafSpec.*",

@@ -75,8 +75,8 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     )
     init: str | None = setting(
         None,
-        "start from these weights (a run's model.safetensors, or shipped), or go on from this "
-        "state (its last.ckpt) up to optimizer.steps",
+        "start from these weights (a training's folder, its model.safetensors, or shipped), or go "
+        "on from this state (its last.ckpt) up to optimizer.steps",
         kind="path",
     )
     output: str = setting("outputs", "trainings/ and runs/ are made in it", kind="path")

@@ -42,7 +42,14 @@ class _Progress(Callback):
 
 
 class EvaluationProgress(_Progress):
-    """Shows how many of its scenes the first process has tested, and the newest F-score."""
+    """Shows how many of its scenes the first process has tested, and the newest F-score.
+
+    Of the scene at work it shows how many keyframes it has, and when it is meshed.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.last = ""
 
     def on_test_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Show the bar."""
@@ -59,8 +66,14 @@ class EvaluationProgress(_Progress):
     ) -> None:
         """Count a scene."""
         if self.bar is not None:
-            text = f"testing: F {outputs['fscore']:.3f}"
+            self.last = f", last F {outputs['fscore']:.3f}"
+            text = f"testing{self.last}"
             self.bar.update(self.task, advance=1, description=text)
+
+    def tell(self, text: str) -> None:
+        """Say where in a scene the work is."""
+        if self.bar is not None:
+            self.bar.update(self.task, description=f"testing {text}{self.last}")
 
     def on_test_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Leave the finished bar on the screen."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,9 @@ class SceneEvaluation(L.LightningModule):
         metrics: settings of metrics beyond the paper's.
         run: where a test writes ``metrics.json``, meshes and pictures.
         label: the row's name.
+
+    Attributes:
+        tell: if set, is told where in a scene the work is.
     """
 
     def __init__(
@@ -76,6 +79,7 @@ class SceneEvaluation(L.LightningModule):
         self.scores = scene_means(metrics)
         self.names = [METRICS.named(each).name for each in with_paper(metrics)]
         self.run, self.label = run, label
+        self.tell: Callable[[str], None] | None = None
         self.results: dict[str, SceneResult] = {}
 
     def validation_step(self, directory: Path | None, batch_idx: int) -> None:
@@ -117,8 +121,13 @@ class SceneEvaluation(L.LightningModule):
 
     def _score(self, scene: Scene) -> tuple[Reconstruction, Scores, float]:
         """A scene's reconstruction, its scores, and the seconds that reconstructing it took."""
+
+        def show(done: int, total: int) -> None:
+            if self.tell is not None:
+                self.tell(f"{scene.name} " + ("meshing" if done == total else f"{done}/{total}"))
+
         start = time.time()
-        result = reconstruct(self.network, scene, self.capture_settings)
+        result = reconstruct(self.network, scene, self.capture_settings, show)
         seconds = time.time() - start
         truth = read_groundtruth(scene.groundtruth)
         return result, in_order(self.scores(compared(result.mesh, truth)), self.names), seconds
@@ -149,9 +158,11 @@ def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices:
         scenes: scene directories with ground truth; at least one.
         devices: of the trainer: accelerator, devices, num_nodes, strategy.
     """
+    progress = EvaluationProgress()
+    module.tell = progress.tell
     trainer = L.Trainer(
         **devices,
-        callbacks=[EvaluationProgress()],
+        callbacks=[progress],
         logger=False,
         enable_checkpointing=False,
         enable_progress_bar=False,

@@ -30,6 +30,7 @@ from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.state import read_state
 
 SHIPPED = "shipped"
+WEIGHTS = "model.safetensors"  # of a finished training
 SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=stereo"  # that it was trained with
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
 # inputs that say nothing before they are trained: weights without them are trained on with them
@@ -49,10 +50,11 @@ def make_network(config: TrainConfig) -> Network:
 
 
 def initial_path(config: TrainConfig) -> Path | None:
-    """The file that ``init`` names, if it names one."""
+    """The file that ``init`` names, if it names one; of a training's folder its weights."""
     if not config.init:
         return None
-    return shipped_checkpoint() if config.init == SHIPPED else Path(config.init)
+    path = shipped_checkpoint() if config.init == SHIPPED else Path(config.init)
+    return path / WEIGHTS if path.is_dir() else path
 
 
 def with_initial_digests(config: TrainConfig, content: Content) -> Content:
