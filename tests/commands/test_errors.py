@@ -96,7 +96,7 @@ def truncated_images(mine: Path) -> None:
     ("damage", "expected"),
     [
         (missing, ("mine: no such folder", "give the folder")),
-        (empty, ("mine: empty", "looked for", "images/, poses.txt, K.txt")),
+        (empty, ("mine: empty", "posed images go in it", "images/, poses.txt, K.txt")),
         (other_file, ("mine: of no known layout", "images/, poses.txt, K.txt")),
         (video_only, ("mine: a video, but no camera poses", "COLMAP", "docs/own_video.md")),
         (bare_images, ("mine: 24 images, but no camera poses", "COLMAP", "docs/own_video.md")),

@@ -202,7 +202,10 @@ def test_a_report_while_the_first_training_runs(
     torch.save({"global_step": 3}, half / "last.ckpt")
     result = call("report")
     assert result.status == 2
-    assert "outputs/trainings/half is unfinished at step 3 of 5: the command that" in result.err
+    said = "outputs/trainings/half is unfinished at step 3 of 5; it goes on by: "
+    assert f"{said}the command that began it" in result.err
+    write_json(half / "run.json", {"command": "python -m tf_lab.train seed=1 fusion=avg"})
+    assert f"{said}python -m tf_lab.train seed=1 fusion=avg\n" in call("report").err
     with directory_lock(half, "training"):
         result = call("report")
     assert "works on it): report when it ends" in result.err

@@ -20,7 +20,7 @@ from tf_lab.data.capture import Capture
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene
-from tf_lab.evaluation.scores import format_table
+from tf_lab.evaluation.scores import Scores, format_table
 from tf_lab.meshes.decimate import check_share, decimated
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.meshes.glb import glb_of
@@ -149,14 +149,21 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
     frames = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
     images = [capture.image(i) for i in frames]
     truth: trimesh.Trimesh | None = None
-    fscore = None
-    with own_groundtruth(capture) as groundtruth:
-        if groundtruth is not None:
-            scores = evaluate_scene(result.mesh, groundtruth)
-            print("against the mesh fused from its own depth:")
-            print(format_table([(capture.name, scores)], first="Scene"))
-            truth, fscore = read_mesh(groundtruth / "mesh_gt.ply"), scores["fscore"]
-    compare(result.mesh, truth, images, picture, capture.name, fscore)
+    scores: Scores | None = None
+    with progress_bar() as bar:
+        task = bar.add_task("fusing its own depth", total=3)
+        with own_groundtruth(capture) as groundtruth:
+            bar.update(task, completed=1, description="scoring")
+            if groundtruth is not None:
+                scores = evaluate_scene(result.mesh, groundtruth)
+                truth = read_mesh(groundtruth / "mesh_gt.ply")
+        bar.update(task, completed=2, description="drawing")
+        fscore = scores["fscore"] if scores else None
+        compare(result.mesh, truth, images, picture, capture.name, fscore)
+        bar.update(task, completed=3)
+    if scores:
+        print("against the mesh fused from its own depth:")
+        print(format_table([(capture.name, scores)], first="Scene"))
     print(f"{picture}: a picture of it")
 
 

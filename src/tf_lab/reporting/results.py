@@ -89,7 +89,8 @@ def _what_to_do(folders: Iterable[Path]) -> str:
     first = min(begun, key=lambda entry: entry.user is None)
     if first.user:
         return f"{first.directory} is {first.state} ({first.user} works on it): report when it ends"
-    return f"{first.directory} is {first.state}: the command that began it goes on from there"
+    command = first.origin.get("command", "the command that began it")
+    return f"{first.directory} is {first.state}; it goes on by: {command}"
 
 
 def read_run(directory: Path) -> Run:

@@ -143,10 +143,10 @@ def _why_unknown(path: Path) -> str:
             f"{found}, but no camera poses; {HOW_TO_POSES}; of a known layout, format=NAME says "
             "which of its files is missing"
         )
+    if path.is_dir() and not any(path.iterdir()):
+        return f"empty; posed images go in it, at the simplest as {plain.LAYOUT}"
     layouts = [f"{SCENE} (scene.json)", *(f"{r.NAME} ({r.LAYOUT})" for r in READERS)]
-    empty = path.is_dir() and not any(path.iterdir())
-    state = "empty" if empty else "of no known layout"
-    return f"{state}; looked for {'; '.join(layouts)}"
+    return f"of no known layout; looked for {'; '.join(layouts)}"
 
 
 def _pictures(path: Path) -> str:
