@@ -84,6 +84,17 @@ def test_from_the_weights_of_a_checkpoint(train: Train, checkpoint: Path, tmp_pa
     assert different(weights(nothing), weights(result)) != []
 
 
+def test_images_of_another_size_than_its_own(
+    train: Train, checkpoint: Path, tmp_path: Path
+) -> None:
+    other = ("data.width=96", "data.height=64", "optimizer.steps=1", f"init={checkpoint}")
+    result = train(NO_TEST, *other, f"output={tmp_path}")
+    assert result.status == 0
+    (line,) = result.err.splitlines()
+    assert line.startswith(f"warning: init={checkpoint}: was trained on images of 80x60, ")
+    assert line.endswith("these are of 96x64; data.width=80 data.height=60 makes them alike")
+
+
 def test_of_no_steps_the_weights_are_tested_as_they_are(
     train: Train, checkpoint: Path, tmp_path: Path
 ) -> None:

@@ -21,7 +21,7 @@ from tf_lab.online.captures import Reconstruction
 from tf_lab.online.kept import best_frames
 from tf_lab.reporting import paper
 from tf_lab.reporting.figures import meshes, views
-from tf_lab.reporting.figures.catalog import FIGURES, check_names, draw_figures
+from tf_lab.reporting.figures.catalog import FIGURES, draw_figures
 from tf_lab.reporting.figures.contract import Compared, Material, Shown
 from tf_lab.reporting.figures.rooms import room
 from tf_lab.reporting.figures.runtimes import runtimes
@@ -142,7 +142,7 @@ def test_points_are_chosen_where_views_are(shown: Shown) -> None:
 def test_an_inset_is_the_part_in_the_frame() -> None:
     K = np.array([[50.0, 0, 39.5], [0, 50, 29.5], [0, 0, 1]])
     corner = (12, 7)
-    zoomed = meshes.zoomed(K, corner, SIZE)
+    zoomed = meshes.zoomed(K, corner)
     ray = np.array([0.2, -0.1, 1.0])
     there, inset = (K @ ray)[:2], (zoomed @ ray)[:2]
     # edges of pixels, not centres, are what is scaled
@@ -233,4 +233,4 @@ def test_their_names() -> None:
 
     assert tuple(FIGURES) == schema.FIGURES
     with pytest.raises(TFLabError, match=r"figures=\[nope\]: there is no such figure; there are v"):
-        check_names(["views", "nope"])
+        schema.check_figures(["views", "nope"])

@@ -37,13 +37,14 @@ def is_sweep(given: argparse.Namespace) -> bool:
     return asked and JOB not in given.overrides
 
 
-def check(unused: Sequence[str] = (), replaced: Mapping[str, str] | None = None) -> None:
+def check(unused: Sequence[str] = (), replaced: Mapping[str, Sequence[str]] | None = None) -> None:
     """That the settings given to the command whose job is running are of use.
 
     Args:
         unused: settings (or groups of them) that the command does not read. A choice among a
             group's options may still say something else.
-        replaced: groups that are not read either, by the given setting that takes their place.
+        replaced: settings (or groups) that are not read either, by the given one that takes their
+            place. The choice of the data is still of use: tests of the network's data need none.
 
     Raises:
         TFLabError: one is not.
@@ -53,8 +54,8 @@ def check(unused: Sequence[str] = (), replaced: Mapping[str, str] | None = None)
         name = override.key_or_group
         if is_within(name, (*unused, FOUND_OUT)) and name not in job.runtime.choices:
             raise TFLabError(f"{override.input_line}: tf_lab.{job.job.config_name} does not use it")
-        for given, group in (replaced or {}).items():
-            if name.startswith(f"{group}."):
+        for given, names in (replaced or {}).items():
+            if is_within(name, names) and name != "data":
                 unread = f"tf_lab.{job.job.config_name} does not use it with {given}="
                 raise TFLabError(f"{override.input_line}: {unread}")
         if is_within(name, ["launcher"]) and JOB not in sys.argv:
@@ -70,7 +71,8 @@ def check_groups(overrides: Sequence[str], conf: Path) -> None:
     for word in overrides:
         group, _, choice = word.lstrip("+").partition("=")
         options = {path.stem for path in (conf / group).glob("*.yaml")}
-        options |= {part.choice for parts in PARTS if parts.group == group for part in parts}
+        parts = [part for each in (*PARTS, METRICS) if each.group == group for part in each]
+        options |= {part.choice for part in parts if part.name not in PAPER}
         if group == "metrics" and choice.startswith("["):  # Hydra would say it in five lines
             named = [part.strip() for part in choice.strip("[]").split(",") if part.strip()]
             known = [part.choice for part in METRICS if part.name not in PAPER]

@@ -39,8 +39,8 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
     def composed(cfg: DictConfig) -> None:
         try:
             if not in_sweep():  # else each job does
-                instead: Mapping[str, str] = getattr(COMMANDS[name], "replaced", {})
-                used = {key: group for key, group in instead.items() if cfg.get(key) is not None}
+                instead: Mapping[str, Sequence[str]] = getattr(COMMANDS[name], "replaced", {})
+                used = {key: names for key, names in instead.items() if cfg.get(key) is not None}
                 overrides.check(unused, used)
             config: Any = typed(COMMANDS[name], cfg)
             if jobs and in_sweep():  # in a worker of Slurm or Ray

@@ -13,10 +13,10 @@ from tf_lab.benchmarks.live import live
 from tf_lab.benchmarks.measure import BenchmarkSettings
 from tf_lab.benchmarks.report import tables
 from tf_lab.benchmarks.suite import run_all
+from tf_lab.commands.inputs import first_test_scene
 from tf_lab.config.build import build_network, initialise_encoder, ready, reconstruction_settings
 from tf_lab.config.schema import BenchmarkConfig
 from tf_lab.config.stored import portable_config
-from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import provenance, without_places
@@ -29,9 +29,12 @@ from tf_lab.support.files import atomic_path, check_folder, write_json
 
 
 def run(config: BenchmarkConfig) -> None:
-    """Measure everything, print it, write table, JSON and chart."""
+    """Measure everything, print it, write table, JSON and chart (of live viewing alone, live.*)."""
     output = Path(config.output)
     check_folder(output)
+    for name in ("views", "rooms", "counts"):
+        if not getattr(config, name):
+            raise TFLabError(f"{name}=[]: give a list of numbers")
     device = device_of(config.device)
     torch.manual_seed(config.seed)
     measured: dict[str, Callable[[], dict[str, Any]]] = {
@@ -50,12 +53,13 @@ def run(config: BenchmarkConfig) -> None:
     results = without_places({"config": portable_config(config), "provenance": origin, **found})
     text = tables(results)
     print(text)
-    write_json(output / "benchmark.json", results)
-    with atomic_path(output / "benchmark.txt") as temporary:
+    name = "benchmark" if "tables" in config.parts else "live"  # which takes no table's place
+    files = [f"{name}.txt", f"{name}.json"]
+    write_json(output / files[1], results)
+    with atomic_path(output / files[0]) as temporary:
         temporary.write_text(text + "\n")
-    files = ["benchmark.txt", "benchmark.json"]
     if "frame" in found:
-        files.append("benchmark.png")
+        files.append(f"{name}.png")
         write_figure(runtimes(results).figure, output / files[-1])
     print(f"{output}: {', '.join(files)}")
 
@@ -69,8 +73,7 @@ def _measure_tables(config: BenchmarkConfig, device: torch.device) -> dict[str, 
 
 
 def _measure_live(config: BenchmarkConfig, device: torch.device) -> dict[str, float]:
-    rooms = open_source(config.data).scenes("test")["test"]
-    scene = Scene(next(iter(rooms.values())))
+    scene = first_test_scene(open_source(config.data))
     network, _ = load_network(shipped_checkpoint())
     settings = reconstruction_settings(config.online, config.resolution, views=max(config.views))
     frames = [*range(len(scene.frames))][: config.live_frames]
@@ -84,13 +87,6 @@ def _network(config: BenchmarkConfig, device: torch.device) -> Network:
 
 
 def _settings(config: BenchmarkConfig, device: torch.device) -> BenchmarkSettings:
-    for name in ("width", "height", "frames", "timed", "eager_timed"):
-        if getattr(config, name) < 1:
-            raise TFLabError(f"{name}={getattr(config, name)}: must be at least 1")
-    for name in ("views", "rooms", "counts"):
-        counts = getattr(config, name)
-        if not counts or min(counts) < 1:
-            raise TFLabError(f"{name}={counts}: give a list of numbers of at least 1")
     reconstruction = reconstruction_settings(
         config.online, config.resolution, views=max(config.views)
     )

@@ -50,12 +50,12 @@ def run(config: CheckConfig) -> None:
         console.print(table)
     if capture.skipped:
         print(f"lost: {len(capture.skipped)} frames; the first: {capture.skipped[0]}")
-    for line in lines(report, path):
-        print(line)
     if output is not None:
         write_json(output / "check.json", {"input": str(path), **report.as_json()})
         draw(report, evidence, output / "check.png")
         print(f"{output}: check.json and check.png")
+    for line in lines(report, path):
+        print(line)
     if report.verdict != FINE:
         sys.exit(1)
 

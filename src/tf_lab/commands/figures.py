@@ -25,10 +25,11 @@ from tf_lab.meshes.files import read_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.reporting.figures.catalog import check_names, draw_figures
+from tf_lab.reporting.figures.catalog import draw_figures
 from tf_lab.reporting.figures.contract import Compared, Material, Shown
 from tf_lab.reporting.gallery import compared, groundtruth_mesh, scenes_of
 from tf_lab.reporting.paper import OURS
+from tf_lab.reporting.results import read_run
 from tf_lab.reporting.studies import Study, open_study
 from tf_lab.support.devices import device_of
 from tf_lab.support.documents import read_json
@@ -42,7 +43,6 @@ POLICIES = ("attention", "random")
 
 def run(config: FiguresConfig) -> None:
     """Draw what there is something for; say in a line each what there is not."""
-    check_names(config.figures)
     output = Path(config.output)
     check_folder(output)
     with Workbench(config) as bench:
@@ -107,7 +107,9 @@ def _measured(path: str) -> Mapping[str, Any]:
     cure = "run python -m tf_lab.benchmark, or give benchmark=FILE"
     if not Path(path).exists():
         raise TFLabError(f"{path}: no such file; {cure}")
-    found: Mapping[str, Any] = read_json(Path(path), cure)
+    found = read_json(Path(path), cure)
+    if not isinstance(found, dict) or "frame" not in found:
+        raise TFLabError(f"{path}: has no times of frames; {cure}")
     return found
 
 
@@ -241,7 +243,10 @@ class Workbench:
     @property
     def label(self) -> str:
         """What the network is called."""
-        return OURS if self.config.checkpoint else "Shipped checkpoint"
+        if self.asked.run is not None:
+            return read_run(Path(self.asked.run)).row
+        path = self.asked.checkpoint
+        return str(Path(*Path(path).parts[-2:])) if path else "Shipped checkpoint"
 
     @cached_property
     def study(self) -> Study:

@@ -6,7 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,8 +19,9 @@ from tf_lab.data.reading import ReadSettings
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import MOST_SIDE
-from tf_lab.data.sources.source import open_source
+from tf_lab.data.sources.source import DataSource, open_source
 from tf_lab.errors import TFLabError
+from tf_lab.online.settings import InferenceSettings
 from tf_lab.reporting.results import Run, read_run
 from tf_lab.support.records import record
 
@@ -30,15 +31,22 @@ C = TypeVar("C", ViewConfig, FiguresConfig)
 def open_input(config: CaptureConfig, info: dict[str, Any]) -> Capture:
     """The input at the image size that the checkpoint was trained at; a test room without one."""
     if config.input is None:
-        rooms = open_source(config.data).scenes("test")["test"]
-        return Scene(next(iter(rooms.values())))
+        return first_test_scene(open_source(config.data))
     settings = ReadSettings.part_of(config)
     capture = open_capture(Path(config.input), settings)
     warning = quick_warning(capture, settings) if config.check else None
     if warning is not None:
         print(f"warning: {config.input}: {warning}", file=sys.stderr)
-    size = _trained_size(info)
+    size = trained_size(info)
     return Resized(capture, size) if size else capture
+
+
+def first_test_scene(source: DataSource) -> Scene:
+    """The one that is shown where none is named. Raises TFLabError: there is none."""
+    scenes = source.scenes("test")["test"] if source.has("test") else {}
+    if not scenes:
+        raise TFLabError(f"data={source.settings.name}: no test scene (data.test, data.test_size)")
+    return Scene(next(iter(scenes.values())))
 
 
 def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
@@ -65,13 +73,14 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     if not there:
         path = places[chosen[0]]
         raise TFLabError(f"{directory}: its test scene ({path}) is not on this machine")
-    names = ("views", "resolution", "threshold", "keyframe_distance", "select", "online")
+    names = ("select", *(field.name for field in fields(InferenceSettings)))
     settings = {name: getattr(run.config, name) for name in names}
-    config = replace(config, checkpoint=checkpoint, **settings)
+    online = replace(config.online, precision=run.config.online.precision)  # the rest is this one's
+    config = replace(config, checkpoint=checkpoint, online=online, **settings)
     return config, {name: Scene(path) for name, path in there.items()}
 
 
-def _trained_size(info: dict[str, Any]) -> tuple[int, int] | None:
+def trained_size(info: dict[str, Any]) -> tuple[int, int] | None:
     """The (width, height) of the images that a checkpoint was trained at, if it says so.
 
     Raises:

@@ -33,7 +33,8 @@ def run(config: ReportConfig) -> None:
     if config.pages:
         from tf_lab.reporting.pages import write_pages  # imports trimesh
 
-        write_pages(study, describe(study), remarks, output)
+        pngs = [path for path in figures if path.suffix == ".png"]
+        write_pages(study, describe(study), remarks, output, pngs)
     print(describe(study), *remarks, markdown(short_table(study)), summary(study), sep="\n\n")
     pages = "report.html, " * config.pages
     drawn = f"{pictures} pictures of test scenes, {len(figures)} files of figures"
@@ -45,7 +46,6 @@ def _draw_figures(config: ReportConfig, study: Study, folder: Path) -> tuple[lis
     if not config.figures:
         return [], []
     from tf_lab.commands.figures import material_of  # imports torch
-    from tf_lab.reporting.figures.catalog import check_names, draw_figures
+    from tf_lab.reporting.figures.catalog import draw_figures
 
-    check_names(config.figures)
     return draw_figures(config.figures, material_of(study, config.benchmark), folder)

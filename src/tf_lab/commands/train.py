@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from dataclasses import asdict, replace
 from functools import partial
@@ -11,6 +12,7 @@ from pathlib import Path
 import lightning as L
 import torch
 
+from tf_lab.commands.inputs import trained_size
 from tf_lab.config.build import capture_settings, check_network, ready
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import portable_config, write_config
@@ -31,6 +33,7 @@ from tf_lab.training.evaluation_log import log_run
 from tf_lab.training.fit import FitSettings, fit, is_helper, rank_zero_lock
 from tf_lab.training.initial import (
     check_state,
+    initial_path,
     initial_state,
     make_network,
     with_initial_digests,
@@ -89,9 +92,13 @@ def identified(config: TrainConfig) -> TrainConfig:
 
 
 def finished(config: TrainConfig) -> Path | None:
-    """The directory of a config's evaluation, if that is finished."""
-    run = run_directory(identified(config))
-    return run if read_metrics(run) is not None else None
+    """The directory of a config's evaluation, or, without a test scene, training, if finished."""
+    config = identified(config)
+    run, training = run_directory(config), training_directory(config)
+    if read_metrics(run) is not None:
+        return run
+    tested = open_source(config.data, config.content).has("test")
+    return None if tested or not (training / "model.safetensors").exists() else training
 
 
 JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
@@ -131,6 +138,7 @@ def train(config: TrainConfig) -> Path:
     checkpoint = directory / "model.safetensors"
     with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
+            _check_size(config)
             (_train if config.optimizer.steps else _take)(config, directory, checkpoint)
         elif not is_helper():
             print_reuse("training", directory)
@@ -193,6 +201,21 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         write_json(directory / "run.json", sessions.origin)
         info = {**sessions.summary(), "config": portable_config(config)}
         save_network(network, checkpoint, {"training": info})
+
+
+def _check_size(config: TrainConfig) -> None:
+    """Warn of images of another size than the network that ``init`` names was trained on."""
+    path = initial_path(config)
+    if path is None or initial_state(config) or is_helper():
+        return
+    given, size = (config.data.width, config.data.height), trained_size(load_network(path)[1])
+    if size not in (None, given):
+        width, height = size
+        print(
+            f"warning: init={config.init}: was trained on images of {width}x{height}, these are of "
+            f"{given[0]}x{given[1]}; data.width={width} data.height={height} makes them alike",
+            file=sys.stderr,
+        )
 
 
 def _start(config: TrainConfig, directory: Path) -> Path | None:

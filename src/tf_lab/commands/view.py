@@ -15,6 +15,7 @@ from tf_lab.config.build import capture_settings, ready
 from tf_lab.config.schema import ViewConfig
 from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
+from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.truth import Truth
 from tf_lab.meshes.files import read_mesh
@@ -60,17 +61,21 @@ def _sides_of_runs(config: ViewConfig) -> tuple[Capture, dict[str, Side]]:
     paths = [Path(path) for path in _listed(config.run)]
     if len(paths) > 1 and config.checkpoint is not None:
         raise TFLabError("checkpoint= goes with one run=, not with several side by side")
-    captures, sides = [], []
+    capture: Scene | None = None
+    sides: list[dict[str, Side]] = []
     for path in paths:
         own, scenes = of_run(config, path)
-        scene, capture = next(iter(scenes.items()))
-        config = replace(config, scene=scene)  # the others are asked for the same
-        captures.append(capture)
-        sides.append(_sides(own, captures[0])[1])
+        name, scene = next(iter(scenes.items()))
+        config = replace(config, scene=name)  # the others are asked for the same
+        capture = capture or scene
+        if scene.directory.resolve() != capture.directory.resolve():
+            raise TFLabError(f"run={path}: its {name} is another than that of {paths[0]}")
+        sides.append(_sides(own, capture)[1])
+    assert capture is not None
     if len(paths) == 1:
-        return captures[0], sides[0]
+        return capture, sides[0]
     first = [next(iter(found.values())) for found in sides]
-    return captures[0], dict(zip(_names("run", paths), first, strict=True))
+    return capture, dict(zip(_names("run", paths), first, strict=True))
 
 
 def _sides(config: ViewConfig, capture: Capture | None = None) -> tuple[Capture, dict[str, Side]]:

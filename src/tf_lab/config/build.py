@@ -77,7 +77,7 @@ def reconstruction_settings(
         batch=online.batch,
         precision=online.precision,
         maps=online.precision,
-        maps_device=None if device == "auto" else str(device_of(device)),
+        maps_device=None if device == "auto" else str(device_of(device, "online.maps_device")),
         maps_budget=None if budget is None else round(budget * 2.0**30),
         **others,
     )

@@ -6,8 +6,8 @@ is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from omegaconf import MISSING
@@ -34,11 +34,21 @@ from tf_lab.online.views import POLICIES
 from tf_lab.support.registry import Registry
 from tf_lab.support.settings import MOST_SEED, setting
 
+SPLITS = ("train", "val", "test")
 FIGURES = (
     *("views", "selected", "comparison", "ablations", "errors", "room"),
     *("fscore_k", "fscore_rows", "runtimes"),
 )
 """The figures there are, by name; see `tf_lab.reporting.figures.catalog`."""
+
+
+def check_figures(names: Sequence[str]) -> None:
+    """That there are figures of these names. Raises TFLabError: one there is not."""
+    if unknown := [name for name in names if name not in FIGURES]:
+        given = f"figures=[{','.join(unknown)}]"
+        raise TFLabError(f"{given}: there is no such figure; there are {', '.join(FIGURES)}")
+
+
 PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
 
 
@@ -152,7 +162,7 @@ class PrepareConfig:
     model: ModelSettings = MISSING
     optimizer: Any = None
     training: TrainingSettings = MISSING
-    splits: list[str] = setting(["train", "val", "test"], "which to prepare")
+    splits: list[str] = setting([*SPLITS], "which to prepare")
     seed: int = setting(0, "of the shards' chunks", least=0, most=MOST_SEED)
     shards: str | None = setting(
         None, "a folder: the training chunks go there, too, as webdataset shards", kind="path"
@@ -162,16 +172,25 @@ class PrepareConfig:
     check: bool = setting(True, "warn of captures whose cameras are clearly wrong")
     pictures: bool = setting(False, "draw each scene's frames and ground truth, to look at")
 
+    def __post_init__(self) -> None:
+        if unknown := [split for split in self.splits if split not in SPLITS]:
+            raise TFLabError(f"splits=[{','.join(unknown)}]: choose of {', '.join(SPLITS)}")
+
 
 @dataclass(frozen=True)
 class CaptureConfig(InferenceSettings, ReadSettings):
     """A capture and the network that reconstructs it.
 
     Attributes:
-        replaced: groups of settings that are of no use, by the setting that takes their place.
+        replaced: settings, or groups of them, that are of no use, by the one that takes their
+            place.
     """
 
-    replaced: ClassVar[Mapping[str, str]] = dict.fromkeys(("input", "run", "mesh"), "data")
+    replaced: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "input": ("data",),
+        "mesh": ("data",),
+        "run": ("data", "select", "online.precision", *(f.name for f in fields(InferenceSettings))),
+    }
     data: Any = MISSING
     select: Any = MISSING
     online: OnlineSettings = field(default_factory=OnlineSettings)
@@ -290,6 +309,9 @@ class FiguresConfig(CaptureConfig):
     def __post_init__(self) -> None:
         if self.input is not None and self.run is not None:
             raise TFLabError("give one of input= and run=")
+        if not self.figures:
+            raise TFLabError(f"figures=[]: name what to draw; there are {', '.join(FIGURES)}")
+        check_figures(self.figures)
 
 
 @dataclass(frozen=True)
@@ -341,6 +363,9 @@ class ReportConfig:
     pages: bool = setting(True, "the study and each run as one HTML file, to open offline or mail")
     keep: bool = setting(False, "copy the runs' small files to OUTPUT/runs, to be committed")
 
+    def __post_init__(self) -> None:
+        check_figures(self.figures)
+
 
 @dataclass(frozen=True)
 class BenchmarkConfig(NetworkSettings):
@@ -365,7 +390,7 @@ class BenchmarkConfig(NetworkSettings):
     live_frames: int = setting(260, "of the room, at most, in live viewing", least=2)
     views: list[int] = setting([4, 8, 16], "K, views kept a voxel", least=1)
     rooms: list[int] = setting([1, 2, 4, 8], "scene sizes", least=1)
-    counts: list[int] = setting([10, 500], "frames already there", least=0)
+    counts: list[int] = setting([10, 500], "frames already there", least=1)
     resolution: float = setting(0.02, "metres, marching cubes", above=0)
     seed: int = setting(0, "of the networks' weights", least=0, most=MOST_SEED)
     output: str = setting("outputs/benchmark", "a folder for table, JSON and chart", kind="path")

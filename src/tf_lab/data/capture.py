@@ -149,6 +149,16 @@ def read_depth(path: Path, scale: float | None = None) -> np.ndarray:
         TFLabError: the file is missing, truncated or not a one-channel image, or its unit is
             unknown.
     """
+    raw = _raw_depth(path)
+    return metres(raw, _usual_scale(raw, path) if scale is None else scale)
+
+
+def usual_depth_scale(path: Path) -> float:
+    """Units per metre that `read_depth` takes where none is given. Raises TFLabError as it does."""
+    return _usual_scale(_raw_depth(path), path)
+
+
+def _raw_depth(path: Path) -> np.ndarray:
     try:
         if path.suffix.lower() == ".npy":
             raw = read_array(path, "write it again")
@@ -166,7 +176,7 @@ def read_depth(path: Path, scale: float | None = None) -> np.ndarray:
         raise TFLabError(f"{path}: a depth image has one channel, this one has {channels}")
     if raw.dtype.kind not in "uifb":
         raise TFLabError(f"{path}: {raw.dtype} values are no depth; store float32 metres")
-    return metres(raw, _usual_scale(raw, path) if scale is None else scale)
+    return raw
 
 
 def _usual_scale(raw: np.ndarray, path: Path) -> float:

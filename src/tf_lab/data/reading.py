@@ -62,7 +62,8 @@ class ReadSettings:
     format: str | None = setting(None, "name the layout, see docs/data.md; null: it is detected")
     gravity: tuple[float, float, float] | None = setting(
         None,
-        'direction of "down" in the source\'s world, as [0,0,-1]; null: from file, or estimated',
+        'direction of "down" in the source\'s world, as [0,0,-1]; null: stated by the layout, or '
+        "estimated",
     )
     scale: float | None = setting(
         None, "metres per unit of the poses; null: as the layout says (COLMAP says nothing)"

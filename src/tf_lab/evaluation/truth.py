@@ -6,13 +6,21 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
+from tf_lab.errors import TFLabError
+
 SAMPLES = 200_000  # points on the ground truth
 
 
 class Truth:
-    """The ground truth: a mesh with faces, in metres, and distances to it."""
+    """The ground truth: a mesh with faces, in metres, and distances to it.
+
+    Raises:
+        TFLabError: it has none.
+    """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
+        if not len(mesh.faces):
+            raise TFLabError("the ground truth has no faces: a mesh is needed, not points alone")
         self.mesh = mesh
         points, _ = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
         self._tree = cKDTree(np.asarray(points))

@@ -84,11 +84,11 @@ def _training(directory: Path) -> Entry:
         else:
             state, origin = UNFINISHED, _begun(directory, problems)
         if state == UNFINISHED and last.exists():
-            assert config is not None
             import torch  # slow to import, and only here needed
 
             saved = torch.load(last, map_location="cpu", mmap=True, weights_only=True)
-            state += f" at step {saved['global_step']} of {config.optimizer.steps}"
+            steps = config.optimizer.steps if config else "?"  # of another version
+            state += f" at step {saved['global_step']} of {steps}"
             origin |= _so_far(saved)
     except Exception as error:  # any damage
         state = "damaged"

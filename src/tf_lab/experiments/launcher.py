@@ -32,6 +32,7 @@ from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.gpus import one_gpu
+from tf_lab.experiments.inventory import RUNS
 from tf_lab.experiments.reuse import print_reuse
 from tf_lab.support.files import write_json
 from tf_lab.support.processes import Children
@@ -154,7 +155,7 @@ def run_job(
     record: dict[str, Any] = {"job": hydra.job.num, "row": row, "seed": seed}
     run = _finished(jobs, config)
     if run is not None:
-        print_reuse("evaluation", run)
+        print_reuse("evaluation" if run.parent.name == RUNS else "training", run)
     else:
         record["log"] = str(log)
         write_json(folder / RECORD, {**record, "failed": "ended with the sweep"})

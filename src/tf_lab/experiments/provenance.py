@@ -7,7 +7,7 @@ import hashlib
 import importlib.metadata
 import os
 import platform
-import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +32,7 @@ class Origin(TypedDict, total=False):
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # what weights and scores depend on
-CORE = ("data", "network", "online", "meshes", "evaluation", "training", "geometry")
+CORE = ("data", "stereo", "network", "online", "meshes", "evaluation", "training", "geometry")
 
 
 def provenance() -> dict[str, Any]:
@@ -42,7 +42,7 @@ def provenance() -> dict[str, Any]:
         "tf_lab": __version__,
         "commit": commit(),
         "code": code_version(),
-        "command": " ".join(["python -m tf_lab." + Path(sys.argv[0]).stem, *sys.argv[1:]]),
+        "command": f"python -m tf_lab.{Path(sys.argv[0]).stem} {shlex.join(sys.argv[1:])}".strip(),
         "python": platform.python_version(),
         "packages": {name: importlib.metadata.version(name) for name in packages},
         "machine": {
@@ -99,5 +99,17 @@ def without_places(value: Any, key: str = "") -> Any:
     if key == "checkpoint" and isinstance(value, str):
         return "/".join(Path(value).parts[-3:])
     if key == "command" and isinstance(value, str):
-        return re.sub(r"""\s\S+=["']?[/~]\S*""", "", value)
+        return _without_places(value)
     return value
+
+
+def _without_places(command: str) -> str:
+    """A command without the settings whose values are absolute paths."""
+    try:
+        words = shlex.split(command)
+    except ValueError:  # of a version that did not quote them
+        words = command.split()
+    values = (word.partition("=")[2].lstrip("\"'[") for word in words)
+    return shlex.join(
+        word for word, value in zip(words, values, strict=True) if not value.startswith(("/", "~"))
+    )

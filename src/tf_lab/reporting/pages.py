@@ -36,25 +36,35 @@ from tf_lab.reporting.tables import (
     scene_table,
     seed_table,
 )
-from tf_lab.support.files import atomic_path
+from tf_lab.support.files import atomic_path, file_name
 
 PICTURE = 900  # pixels across
 
 
-def write_pages(study: Study, about: str, remarks: Sequence[str], output: Path) -> None:
-    """Write ``report.html`` and ``pages/<run>.html``; ``about`` says what was run."""
-    drawn = (output / "pictures", output / "figures")
-    _write(output / "report.html", study_page(study, about, remarks, *drawn))
+def write_pages(
+    study: Study, about: str, remarks: Sequence[str], output: Path, figures: Sequence[Path] = ()
+) -> None:
+    """Write ``report.html`` and ``pages/<run>.html``.
+
+    Args:
+        study: the runs.
+        about: what was run.
+        remarks: on it.
+        output: the report's folder, with the pictures of the test scenes.
+        figures: PNG files of this study, each with its caption beside it.
+    """
+    page = study_page(study, about, remarks, output / "pictures", figures)
+    _write(output / "report.html", page)
     for run in study.runs.values():
         _write(output / "pages" / f"{run.directory.name}.html", run_page(run))
 
 
 def study_page(
-    study: Study, about: str, remarks: Sequence[str], pictures: Path, figures: Path | None = None
+    study: Study, about: str, remarks: Sequence[str], pictures: Path, figures: Sequence[Path] = ()
 ) -> str:
     """All of a study: tables, charts, the pictures that there are, a mesh, and its settings."""
-    captions = sorted(figures.glob("*.txt")) if figures is not None else []
-    drawn = [path for scene in study.scenes if (path := pictures / f"{scene}.png").exists()]
+    scenes = [pictures / f"{file_name(scene)}.png" for scene in study.scenes]
+    drawn = [path for path in scenes if path.exists()]
     shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
     mesh = ""
     if shown:
@@ -74,7 +84,7 @@ def study_page(
         ),
         section("A mesh", mesh),
         section("Test scenes", *(_preview(path) for path in drawn)),
-        section("Figures", *map(_figure, captions)),
+        section("Figures", *map(_figure, figures)),
         section("Orderings", code(summary(study)), table_html(orderings_table(study))),
         section("Inputs", table_html(inputs_table(study))),
         section("Tests against ours", table_html(comparison_table(study))),
@@ -87,7 +97,7 @@ def study_page(
 
 def run_page(run: Run) -> str:
     """All of a run: scores, pictures, a mesh, the command, settings, and where it was made."""
-    pictures = [run.directory / "pictures" / f"{scene}.png" for scene in run.scenes]
+    pictures = [run.directory / "pictures" / f"{file_name(scene)}.png" for scene in run.scenes]
     meshes = [mesh_path(run, scene) for scene in run.scenes]
     first = next((path for path in meshes if path.exists()), None)
     view = "" if first is None else paragraph(first.stem) + mesh_view(read_mesh(first))
@@ -108,9 +118,9 @@ def _preview(path: Path) -> str:
     return picture(preview(path, PICTURE), "jpeg", path.stem)
 
 
-def _figure(caption: Path) -> str:
-    content = preview(caption.with_suffix(".png"), PICTURE)
-    return picture(content, "jpeg", caption.read_text(encoding="utf-8").strip())
+def _figure(path: Path) -> str:
+    caption = path.with_suffix(".txt").read_text(encoding="utf-8").strip()
+    return picture(preview(path, PICTURE), "jpeg", caption)
 
 
 def _commands(study: Study) -> str:

@@ -65,6 +65,8 @@ def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
         if not folder.is_dir():
             raise TFLabError(f"{folder}: there is no such folder; {_what_to_do(folders)}")
         for path in sorted(folder.rglob("metrics.json")):
+            if any(part.startswith(".") for part in path.relative_to(folder).parts):
+                continue  # half removed
             try:
                 runs.append(read_run(path.parent))
             except TFLabError as error:

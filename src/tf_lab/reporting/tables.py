@@ -11,7 +11,7 @@ from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.evaluation.scores import mean_scores
 from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
 from tf_lab.reporting.orderings import Ordering, difference, orderings_of, verdict
-from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES, PaperTable
+from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.statistics import Estimate, deviation, holm
 from tf_lab.reporting.studies import Study
@@ -30,13 +30,13 @@ INTERVAL = (
 def main_table(study: Study) -> Table:
     """The paper's main table, and after it the rows that the paper does not have."""
     others = [row for row in study.rows if row not in (*ABLATIONS, OURS)]
-    return _beside_paper(study, "main", MAIN, [*map(list, MAIN.groups), others])
+    return _beside_paper(study, "main", [*map(list, MAIN.groups), others])
 
 
 def inputs_table(study: Study) -> Table:
     """The paper's ablation of the transformers' inputs, which ours alone is not."""
     groups = [] if study.rows == [OURS] else [[*group] for group in INPUTS.groups]
-    return _beside_paper(study, "inputs", INPUTS, groups)
+    return _beside_paper(study, "inputs", groups)
 
 
 def short_table(study: Study) -> Table:
@@ -49,9 +49,7 @@ def short_table(study: Study) -> Table:
     return Table("rows", "", columns, _with_best([body], columns))
 
 
-def _beside_paper(
-    study: Study, name: str, paper: PaperTable, groups: Sequence[Sequence[str]]
-) -> Table:
+def _beside_paper(study: Study, name: str, groups: Sequence[Sequence[str]]) -> Table:
     theirs = [replace(c, key=f"paper_{c.key}") for c in _metrics(metric_columns(), THERE)]
     columns = (ROW, *_metrics(study.metrics, HERE), *theirs)
     body: list[list[Row]] = [
@@ -113,9 +111,11 @@ def comparison_table(study: Study) -> Table:
         found = difference(study, {row: 1, OURS: -1}) if row != OURS else None
         known = row in SCORES and row != OURS
         theirs = SCORES[row]["fscore"] - SCORES[OURS]["fscore"] if known else None
-        score = _over_seeds(study.scores(row).mean(1))
-        seeds = str(len(study.seeds(row)))
-        body.append((row, seeds, score, *_interval_cells(found), Number(theirs, "+.3f")))
+        paired = study.seeds(row, OURS, metric="fscore")  # what the difference is of
+        seeds = paired or study.seeds(row, metric="fscore")
+        score = _over_seeds(study.scores(row, seeds=seeds).mean(1))
+        differs = (*_interval_cells(found), Number(theirs, "+.3f"))
+        body.append((row, str(len(seeds)), score, *differs))
     caption = (
         "F-score of each row against ours: mean difference, 95 % interval and p-value of a crossed "
         "bootstrap over seeds and test scenes (p-values are not corrected for their number), and "

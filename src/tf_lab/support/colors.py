@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-BLUE, ORANGE, GREEN, YELLOW = "#0072B2", "#D55E00", "#009E73", "#F0E442"
-PURPLE, SKY, GREY = "#CC79A7", "#56B4E9", "#999999"
+BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, SKY = "#CC79A7", "#56B4E9"
 
 LOW, HIGH = np.array([33, 102, 220]), np.array([214, 39, 40])  # of weights: blue, red
-FRAME_COLORS, FRAME_RANGE = "viridis", (0.0, 1.0)
+FRAME_COLORS = "viridis"
 ERROR_COLORS = "YlOrRd"
 ERROR_SCALE = 0.15  # metres at the end of the scale of errors
 
@@ -25,8 +25,7 @@ def weight_colors(weights: np.ndarray) -> np.ndarray:
 
 def frame_colors(frames: np.ndarray, total: int) -> np.ndarray:
     """Frames [N] of ``total`` along the trajectory, as uint8 [N, 3]; grey where it is -1."""
-    low, high = FRAME_RANGE
-    colors = _mapped(FRAME_COLORS, low + (high - low) * np.asarray(frames) / max(total - 1, 1))
+    colors = _mapped(FRAME_COLORS, np.asarray(frames) / max(total - 1, 1))
     return np.where((np.asarray(frames) < 0)[:, None], np.uint8(128), colors)
 
 

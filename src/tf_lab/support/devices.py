@@ -5,19 +5,24 @@ from __future__ import annotations
 import torch
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.words import counted
 
 
-def device_of(name: str) -> torch.device:
-    """The device called "auto" (CUDA where there is one), "cpu" or "cuda".
+def device_of(name: str, setting: str = "device") -> torch.device:
+    """The device called "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1".
 
     Raises:
-        TFLabError: it is not there.
+        TFLabError: it is not there; the message names the ``setting``.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise TFLabError("device=cuda: torch sees no CUDA device; use device=cpu")
     try:
-        return torch.device(name)
+        device = torch.device(name)
     except RuntimeError:
-        raise TFLabError(f"device={name}: choose auto, cpu or cuda") from None
+        device = torch.device("meta")
+    if device.type not in ("cpu", "cuda"):
+        raise TFLabError(f"{setting}={name}: choose auto, cpu or cuda")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        there = counted(torch.cuda.device_count(), "CUDA device")
+        raise TFLabError(f"{setting}={name}: torch sees {there}; {setting}=cpu is always there")
+    return device

@@ -6,9 +6,12 @@ Epipolar geometry does not change with the unit of the poses, so that it needs a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tf_lab.data.capture import usual_depth_scale
 from tf_lab.data.diagnosis.evidence import Evidence
 from tf_lab.data.diagnosis.search import Candidate
 from tf_lab.errors import TFLabError
@@ -88,10 +91,16 @@ def _mend(evidence: Evidence, factor: float, measured: float, scale: float | Non
     """Which of both is to be mended: that whose values no room has."""
     if abs(np.log(measured / USUAL)) <= abs(np.log(measured / factor / USUAL)):
         return f"scale={_round((scale or 1.0) * factor):g}"
-    stated = evidence.settings.depth_scale
-    for frame in evidence.given.frames:
-        stated = stated or getattr(frame.depth, "scale", None)
-    return f"depth_scale={_round((stated or 1000.0) * factor):g}"
+    stated = evidence.settings.depth_scale or _depth_scale(evidence)
+    return "" if stated is None else f"depth_scale={_round(stated * factor):g}"
+
+
+def _depth_scale(evidence: Evidence) -> float | None:
+    """Units per metre of the depth maps; None where their layout has no other."""
+    depth: Any = next((frame.depth for frame in evidence.given.frames if frame.depth), None)
+    if not hasattr(depth, "scale"):
+        return None
+    return usual_depth_scale(Path(str(depth))) if depth.scale is None else float(depth.scale)
 
 
 def _plausible(seen: float, scale: float | None) -> str:

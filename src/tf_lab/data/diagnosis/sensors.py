@@ -155,14 +155,15 @@ def _views(evidence: Evidence, geometry: Geometry, focal: float) -> list[_View]:
         K[:, [0, 1], [0, 1]] /= focal
         frames = [evidence.frames[first], evidence.frames[second]]
         try:
-            points = _points(evidence.capture, frames[0], K[0])
+            points, depth = (
+                _points(evidence.capture, frames[0], K[0]),
+                evidence.capture.depth(frames[1]),
+            )
             images = [_grey(evidence.capture, index) for index in frames]
         except TFLabError:
             continue
-        if points is not None and evidence.capture.depth(frames[1]) is not None:
+        if points is not None and depth is not None:
             b_T_a = np.linalg.inv(geometry.world_T_cam[second]) @ geometry.world_T_cam[first]
-            depth = evidence.capture.depth(frames[1])
-            assert depth is not None
             views.append(_View(points, K[0], K[1], b_T_a, depth, *images))
     return views
 

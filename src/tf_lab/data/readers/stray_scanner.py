@@ -70,7 +70,9 @@ def _poses(file: Path) -> tuple[dict[int, np.ndarray], list[str]]:
     """world_T_cam [4, 4] by the number of the frame, and what is wrong with the other lines."""
     cure = f"its first line names the columns: timestamp, {', '.join(COLUMNS)}"
     lines = read_lines(file, cure)
-    rows = list(csv.reader((line for _, line in lines), skipinitialspace=True))
+    rows = list(
+        csv.reader((line for _, line in lines), skipinitialspace=True, quoting=csv.QUOTE_NONE)
+    )
     names = [name.strip() for name in rows[0]] if rows else []
     if missing := [name for name in COLUMNS if name not in names]:
         raise TFLabError(f"{file}: no column {missing[0]}; {cure}")

@@ -76,6 +76,8 @@ class ShardsData(RoomsData):
     """Chunks from shards, which `prepare ... shards=DIR` writes; val and test scenes are rooms."""
 
     name: str = setting("shards", "set it by data=", shapes="weights")
+    size: int = setting(32, "not used: the shards are what is trained on", least=0)
+    frames: int = setting(128, "not used", least=1)
     urls: Any = setting(
         None,
         "DIR, https://host/DIR/, 'DIR/chunks-{000000..000031}.tar', or a list of such",

@@ -42,14 +42,6 @@ FIGURES: Mapping[str, Draw] = {
 }
 
 
-def check_names(names: Sequence[str]) -> None:
-    """That there are figures of these names. Raises TFLabError: one there is not."""
-    unknown = [name for name in names if name not in FIGURES]
-    if unknown or not names:
-        given = f"figures=[{','.join(unknown)}]"
-        raise TFLabError(f"{given}: there is no such figure; there are {', '.join(FIGURES)}")
-
-
 def draw_figures(
     names: Sequence[str], material: Material, folder: Path
 ) -> tuple[list[Path], list[str]]:

@@ -38,7 +38,7 @@ def comparison(scenes: Sequence[Compared], size: Size = SIZE) -> Drawn:
         camera, draw = scene.camera(size), partial(_panels, scene, columns)
         whole = draw(*camera, size)
         window = differing(whole, size)
-        inset = draw(zoomed(camera[0], window, size), *camera[1:], size)
+        inset = draw(zoomed(camera[0], window), *camera[1:], size)
         grid = part.subplots(2, len(columns), squeeze=False)
         part.supylabel(scene.scene, fontsize=TITLE)
         for column, method in enumerate(columns):
@@ -137,7 +137,7 @@ def differing(panels: Sequence[np.ndarray], size: Size) -> tuple[int, int]:
     return int(column), int(row)
 
 
-def zoomed(K: np.ndarray, corner: tuple[int, int], size: Size) -> np.ndarray:
+def zoomed(K: np.ndarray, corner: tuple[int, int]) -> np.ndarray:
     """Intrinsics [3, 3] of a picture's window, `INSET` times as large; pixels as in `geometry`."""
     scaled = K.copy()
     scaled[:2] *= INSET
