@@ -143,6 +143,9 @@ def test_a_bad_capture_by_a_process(tmp_path: Path, checkpoint: Path) -> None:
         (("resolution=0.03",), ("resolution=0.03", "must be a multiple")),
         (("select.policy=best",), ("select.policy=best", "choose one of attention, random")),
         (("gravity=[0,0,0]",), ("gravity",)),
+        (("device=mps",), ("device=mps", "choose auto, cpu or cuda")),
+        (("device=cuda:99",), ("device=cuda:99: torch sees", "use device=cpu")),
+        (("online.maps_device=cuda:99",), ("online.maps_device=cuda:99", "online.maps_device=cpu")),
         pytest.param(
             ("device=cuda",),
             ("device=cuda", "use device=cpu"),
@@ -316,6 +319,37 @@ def test_a_bad_setting_of_train(
     """Told before the training, not after it."""
     told(train(f"output={tmp_path}", argument), *expected)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "expected"),
+    [
+        ("prepare", ["splits=[test,tets]"], ("splits=[tets]", "train, val, test")),
+        ("reconstruct", ["data.test_size=0"], ("data=rooms: no test scene", "data.test_size")),
+        (
+            "evaluate",
+            ["predictions=a", "groundtruth=b", "metrics=null"],
+            ("metrics=null", "normals"),
+        ),
+        ("report", ["figures=[foo]"], ("figures=[foo]: there is no such figure", "views")),
+        ("figures", ["figures=[]"], ("figures=[]", "views")),
+        ("benchmark", ["views=[]"], ("views=[]", "a list of numbers")),
+        ("view", ["run=nowhere", "views=4"], ("views=4", "does not use it with run=")),
+        ("view", ["run=nowhere", "select=rnd"], ("select=rnd", "does not use it with run=")),
+        ("figures", ["run=nowhere", "online.precision=bfloat16"], ("does not use it with run=",)),
+    ],
+)
+def test_a_bad_setting_of_another_command(
+    command: str,
+    words: list[str],
+    expected: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if command == "view":
+        pytest.importorskip("viser", reason="needs pip install 'tf_lab[viewer]'")
+    told(call(command, *words), *expected)
 
 
 def test_an_encoder_that_does_not_ship() -> None:

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from hydra.core.singleton import Singleton
 
 from helpers.run_directory import check_run
 from helpers.tiny_jobs import TINY, Result, call, environment, start, tiny_config
-from tf_lab.commands.train import identified
+from tf_lab.commands.train import finished, identified
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import TrainConfig
 from tf_lab.experiments.identity import training_directory
@@ -303,3 +304,13 @@ def test_a_sweep_of_distributed_trainings(tmp_path: Path) -> None:
     for run in tmp_path.glob("outputs/runs/*"):
         check_run(run)
     assert len(list(tmp_path.glob("outputs/trainings/*/model.safetensors"))) == 2
+
+
+def test_without_a_test_scene_a_training_is_all_that_a_job_has_to_do(tmp_path: Path) -> None:
+    config = tiny_config("data.test_size=0", f"output={tmp_path}")
+    training = training_directory(config)
+    assert finished(config) is None
+    training.mkdir(parents=True)
+    (training / "model.safetensors").touch()
+    assert finished(config) == training
+    assert finished(replace(config, data=replace(config.data, test_size=1))) is None

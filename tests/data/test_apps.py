@@ -92,7 +92,7 @@ def test_stray_depth_where_it_is_confident(stray_folder: Path) -> None:
 
 
 def test_stray_lines_that_are_no_poses(stray_folder: Path) -> None:
-    bad = ["x", "1, 3, 0, 0, 0, 0, 0, 0, 0", "1, one, 0, 0, 0, 0, 0, 0, 1",
+    bad = ["x", '1, 8, "', "1, 3, 0, 0, 0, 0, 0, 0, 0", "1, one, 0, 0, 0, 0, 0, 0, 1",
            "1, nan, 0, 0, 0, 0, 0, 0, 1", "1, 2, nan, 0, 0, 0, 0, 0, 1",
            "1, 7, 0, 0, 0, 0, 0, 0, 1"]  # fmt: skip
     lines = [HEADER, "1, 0, 0, 0, 0, 0, 0, 0, 1", *bad]

@@ -10,7 +10,7 @@ import torch
 import trimesh
 
 from tf_lab import geometry
-from tf_lab.data.rooms import Room, RoomSettings, generate_room, make_room, room_mesh
+from tf_lab.data.rooms import Room, RoomSettings, generate_room, make_room
 from tf_lab.data.rooms.footprint import overlap
 from tf_lab.data.scene import Frame
 
@@ -29,7 +29,7 @@ def frames(seed: int) -> list[Frame]:
 
 @pytest.fixture(scope="module")
 def mesh(seed: int) -> trimesh.Trimesh:
-    return room_mesh(seed, SETTINGS)
+    return make_room(seed).geometry.mesh()
 
 
 def test_shapes_and_names(frames: list[Frame]) -> None:
@@ -50,7 +50,8 @@ def test_same_seed_same_room_other_seed_other_room() -> None:
         assert np.array_equal(x.depth, y.depth)
         assert np.array_equal(x.world_T_cam, y.world_T_cam)
     assert not np.array_equal(a[0].image, c[0].image)
-    assert room_mesh(5, small).vertices.shape != room_mesh(6, small).vertices.shape
+    five, six = (make_room(s).geometry.mesh() for s in (5, 6))
+    assert five.vertices.shape != six.vertices.shape
 
 
 def test_depth_is_camera_z_of_the_mesh(frames: list[Frame], mesh: trimesh.Trimesh) -> None:

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 import numpy as np
@@ -28,6 +29,9 @@ from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.module import OptimizerSettings, Training
 
 Write = Callable[..., Path]
+OPTIMIZER = OptimizerSettings(
+    lr=1e-3, weight_decay=0, schedule="cosine", warmup=1, steps=10, clip=1, encoder_factor=1
+)
 
 
 @pytest.fixture(scope="module")
@@ -130,18 +134,23 @@ def test_in_order_they_are_the_folders_batches(write: Write, box_scene: Path) ->
         assert same(found, expected)
 
 
+@pytest.mark.parametrize("variant", [{}, {"filter": False}, {"refine": False}, {"depth": False}])
+def test_whatever_is_trained_gets_a_gradient(
+    write: Write, tiny_network: Callable[..., Network], variant: dict[str, Any]
+) -> None:
+    """Of what gets none, DDP would wait for the gradient."""
+    module = Training(tiny_network(**variant).train(), OPTIMIZER, 0.5, ReconstructionSettings())
+    module.log_dict = lambda *_, **__: None  # type: ignore[method-assign]
+    batch = next(iter(source(write()).stream(SEED, 0, 0, 1)))
+    module.training_step(batch, 0)["loss"].backward()
+    trained = {n: p.grad is not None for n, p in module.named_parameters() if p.requires_grad}
+    assert [name for name, found in trained.items() if not found] == []
+    assert any("coarse_mask" in name for name in trained) == variant.get("filter", True)
+
+
 def first_loss(chunks: ChunkSource, workers: int, network: Network, folder: Path) -> float:
     """Of the first step of a training."""
-    optimizer = OptimizerSettings(
-        lr=1e-3,
-        weight_decay=0,
-        schedule="cosine",
-        warmup=1,
-        steps=10,
-        clip=1,
-        encoder_factor=1,
-    )
-    module = Training(network.train(), optimizer, 0.5, ReconstructionSettings())
+    module = Training(network.train(), OPTIMIZER, 0.5, ReconstructionSettings())
     trainer = L.Trainer(
         **{"max_steps": 1, "accelerator": "cpu", "devices": 1, "limit_val_batches": 0},
         **{"logger": False, "enable_checkpointing": False, "enable_progress_bar": False},

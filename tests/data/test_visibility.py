@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from helpers import box_room
+from tf_lab.data.groundtruth import MAX_READING
 from tf_lab.data.scene import Frame, Scene, write_scene
-from tf_lab.data.visibility import measure_visibility, scene_visibility, views_per_point
+from tf_lab.data.visibility import measure_visibility, scene_visibility
 
 
 @pytest.fixture(scope="module")
@@ -17,11 +18,11 @@ def mesh(box_scene: Path) -> trimesh.Trimesh:
     return trimesh.load(box_scene / "groundtruth" / "mesh_gt.ply", process=False)  # type: ignore[return-value]
 
 
-def test_views_per_point_by_brute_force(box_scene: Path, mesh: trimesh.Trimesh) -> None:
+def test_views_by_brute_force(box_scene: Path, mesh: trimesh.Trimesh) -> None:
     """Ray by ray: a frame sees a vertex if the room's analytic depth along its ray is as far."""
     scene, frames = Scene(box_scene), [2, 5, 6, 13]
     part = trimesh.Trimesh(np.asarray(mesh.vertices)[::211], process=False)
-    counts = views_per_point(scene, frames, part)
+    counts = measure_visibility(scene, frames, part.vertices, MAX_READING).seen
     assert counts.shape == (len(part.vertices),)
     K = box_room.intrinsics()
     least, most = np.zeros(len(counts), int), np.zeros(len(counts), int)

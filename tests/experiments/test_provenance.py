@@ -1,5 +1,6 @@
 """Which code made a result: known by its content, as far as results depend on it."""
 
+import shlex
 import shutil
 from pathlib import Path
 
@@ -29,7 +30,11 @@ def test_the_same_code_has_the_same_version_anywhere(package: Path) -> None:
     ("name", "counts"),
     [
         *(("training/losses.py", True), ("data/rooms/walk.py", True), ("meshes/files.py", True)),
-        *(("evaluation/metrics.py", True), ("weights/tiny-encoder.safetensors", True)),
+        *(
+            ("evaluation/metrics.py", True),
+            ("stereo/cost.py", True),
+            ("weights/tiny-encoder.safetensors", True),
+        ),
         *(("report.py", False), ("reporting/tables.py", False), ("weights/tiny.json", False)),
     ],
 )
@@ -42,6 +47,15 @@ def test_only_what_results_depend_on_counts(package: Path, name: str, counts: bo
 
 def test_what_counts_is_there() -> None:
     assert [name for name in provenance.CORE if not (provenance.PACKAGE / name).exists()] == []
+
+
+def test_a_command_can_be_pasted(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["training.rules={attention:2,random:1}", "row=a b", "init=/my data/x", "runs=[/a,/b]"]
+    monkeypatch.setattr("sys.argv", ["/any/train.py", *words])
+    record = provenance.provenance()
+    assert shlex.split(record["command"]) == ["python", "-m", "tf_lab.train", *words]
+    kept = provenance.without_places(record)["command"]
+    assert shlex.split(kept) == ["python", "-m", "tf_lab.train", *words[:2]]
 
 
 def test_the_record_names_commit_and_code() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from helpers.made_up_runs import ROWS, SCENES, write_run, write_study
 from tf_lab.errors import TFLabError
+from tf_lab.reporting.results import keep_run, read_run
 from tf_lab.reporting.studies import open_study
 
 HALF = [0.5, 0.6, 0.7, 0.8]
@@ -70,6 +71,46 @@ def test_a_copy_is_no_duplicate(tmp_path: Path) -> None:
     write_run(tmp_path / "b", "", 0, [0.9], written=1e9)
     study, remarks = open_study([tmp_path / "a", tmp_path / "b"])
     assert (len(study.runs), remarks) == (1, [])
+
+
+def test_of_a_run_and_its_kept_copy_the_run_counts(tmp_path: Path) -> None:
+    """It has the meshes."""
+    path = write_run(tmp_path / "a", "", 0, [0.9], written=1e9)
+    keep_run(read_run(path), tmp_path / "report" / "runs")
+    study, remarks = open_study([tmp_path])
+    assert [run.directory for run in study.runs.values()] == [path]
+    assert remarks == []
+
+
+def test_what_is_half_removed_does_not_count(tmp_path: Path) -> None:
+    write_run(tmp_path / "a", "", 0, [0.9])
+    path = write_run(tmp_path / "b", "", 1, [0.1])
+    path.rename(path.with_name(f".partial-host-1-{path.name}"))
+    assert open_study([tmp_path])[0].seeds() == [0]
+
+
+def test_of_tests_of_two_networks_in_one_row_the_newest_networks_count(tmp_path: Path) -> None:
+    """A row's mean is not over seeds of different networks."""
+    for seed in range(2):
+        write_run(tmp_path / "a", "optimizer.steps=0 content.init=aaaa", seed, [0.5])
+        write_run(tmp_path / "a", "optimizer.steps=0 content.init=aaab views=4", seed, [0.4])
+    study, remarks = open_study([tmp_path / "a"])
+    assert (len(study.runs), remarks) == (4, [])  # of each row one network: one study
+    write_run(tmp_path / "b", "optimizer.steps=0 content.init=bbbb", 0, [0.9], written=2e9)
+    study, remarks = open_study([tmp_path])
+    np.testing.assert_allclose(study.scores("Ours"), [[0.9]])
+    np.testing.assert_allclose(study.scores("Ours: 4 images"), [[0.4], [0.4]])
+    one, two = remarks
+    assert "seed 0" in one and "counts, the older" in one
+    assert "seed 1" in two and "does not count" in two
+
+
+def test_each_seed_may_test_a_network_of_its_own(tmp_path: Path) -> None:
+    """As of a study's trainings on other scenes."""
+    for seed in range(2):
+        write_run(tmp_path, f"optimizer.steps=0 content.init=a{seed}b", seed, [0.5])
+    study, remarks = open_study([tmp_path])
+    assert (study.seeds(), remarks) == ([0, 1], [])
 
 
 def test_several_versions_of_the_code_are_said(tmp_path: Path) -> None:

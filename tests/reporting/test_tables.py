@@ -119,6 +119,14 @@ def test_comparison(study: Study) -> None:
     assert found["Ours: w/o TRSF, avg, w/o spatial ref."]["paper"] == ""
 
 
+def test_a_comparison_is_of_the_seeds_that_both_have(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 0, [0.6, 0.7])
+    for seed, fscore in enumerate((0.5, 0.1, 0.1)):
+        write_run(tmp_path, "fusion=avg", seed, [fscore, fscore])
+    found = cells(comparison_table(open_study([tmp_path])[0]))["Ours: w/o TRSF, avg"]
+    assert found[:3] == ["1", "0.500", "-0.150"]
+
+
 def test_details(study: Study) -> None:
     (record,) = (r for r in records(seed_table(study)) if r["row"] == "Ours: w/o C2F filter")
     assert float(record["seed_0"]) == float(record["mean"]) == pytest.approx(0.631)

@@ -13,6 +13,7 @@ import trimesh
 from rich.progress import Progress, TaskID
 
 from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation import PAPER
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import mean_scores
@@ -20,6 +21,7 @@ from tf_lab.evaluation.settings import NormalsSettings
 from tf_lab.meshes.files import read_mesh
 from tf_lab.online.captures import Reconstruction
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.training import evaluation
 from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, scene_loader
 
 Evaluate = Callable[..., tuple[SceneEvaluation, Path]]
@@ -73,7 +75,11 @@ def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]
     """Evaluates some of the scenes by so many processes; returns the module and the run."""
 
     def reconstruct(
-        network: object, scene: Scene, settings: object, progress: Callable[[int, int], None]
+        network: object,
+        scene: Scene,
+        settings: object,
+        progress: Callable[[int, int], None],
+        color: bool,
     ) -> Reconstruction:
         for done in (1, 2):
             progress(done, 2)
@@ -135,6 +141,35 @@ def test_one_process_writes_what_the_protocol_says(evaluate: Evaluate, scenes: l
     assert sorted(path.name for path in (run / "meshes").iterdir()) == [
         f"{scene.name}.ply" for scene in scenes
     ]
+
+
+def test_a_stopped_test_goes_on(evaluate: Evaluate, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes that it came to the end of count, and are done again by other code only."""
+    whole, done = stored(evaluate("whole", 4, devices=1)[1]), list[str]()
+    reconstruct = evaluation.reconstruct
+
+    def stop_at_two(network: Any, scene: Scene, *rest: Any) -> Reconstruction:
+        if done.count("room2") == 0:
+            done.append(scene.name)
+            if scene.name == "room2":
+                raise TFLabError("stopped")
+        else:
+            done.append(scene.name)
+        return reconstruct(network, scene, *rest)
+
+    monkeypatch.setattr(evaluation, "reconstruct", stop_at_two)
+    for code, again in (("this", ["room2", "room3"]), ("other", ["room0", "room1", "room2"])):
+        monkeypatch.setattr(evaluation, "code_version", lambda: "this")
+        done.clear()
+        with pytest.raises(TFLabError, match="stopped"):
+            evaluate(code, 4, devices=1)
+        monkeypatch.setattr(evaluation, "code_version", lambda code=code: code)
+        _, run = evaluate(code, 4, devices=1)
+        assert done[3 : 3 + len(again)] == again
+        found = stored(run)
+        assert found["scenes"] == whole["scenes"] and [*found["scenes"]] == [*whole["scenes"]]
+        assert found["mean"] == pytest.approx(whole["mean"], abs=1e-12)
+        assert not (run / "scenes").exists()
 
 
 @pytest.mark.parametrize("count", [5, 1])

@@ -7,7 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.training.matching import APART, matching_loss
+from tf_lab.network.encoders.resnet import ResNet
+from tf_lab.training.matching import APART, Matching, matching_loss
 
 SIZE = (8, 6)  # width, height of the images
 
@@ -132,3 +133,18 @@ def test_the_gradient_pulls_corresponding_features_together() -> None:
     u, v = uv.long().unbind(-1)
     a, b = (F.normalize(found[0, i][:, v, u], dim=0) for i in range(2))
     assert float((a * b).sum(0).min()) > 0.7
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.1])
+def test_a_trunk_that_stays_keeps_its_statistics(factor: float) -> None:
+    """Those of its batch normalisation, too, which no gradient changes."""
+    sizes = {"coarse_stride": 4, "fine_stride": 2, "coarse_channels": 8, "fine_channels": 8}
+    maps = {**sizes, "unit_norm": True}
+    encoder = ResNet(8, [1, 1], 2, False, "batch", **maps)
+    matching = Matching(encoder, 1e-3, factor, 10, 0.1, [])
+    before = {name: value.clone() for name, value in encoder.named_buffers()}
+    assert any(name.endswith("running_mean") for name in before)
+    encoder(torch.randint(0, 256, (2, 3, 32, 32), dtype=torch.uint8))
+    same = [torch.equal(value, before[name]) for name, value in encoder.named_buffers()]
+    assert all(same) == (factor == 0)
+    assert matching.encoder is encoder

@@ -112,17 +112,13 @@ def signed_distance(tsdf: TSDF) -> Tensor:
     return torch.where(hidden_columns, torch.full_like(sdf, -tsdf.truncation), sdf)
 
 
-def surface_distance(mesh: trimesh.Trimesh, grid: VoxelGrid) -> Tensor:
-    """Distance [X, Y, Z] in metres from voxel centres to the nearest mesh vertex, capped."""
-    return _surface_distance(_tree(mesh), grid)
-
-
 def _tree(mesh: trimesh.Trimesh) -> cKDTree:
     """Of the vertices; not balanced: voxels, which are evenly spread, are twice as fast so."""
     return cKDTree(np.asarray(mesh.vertices), balanced_tree=False, compact_nodes=False)
 
 
-def _surface_distance(vertices: cKDTree, grid: VoxelGrid) -> Tensor:
+def surface_distance(vertices: cKDTree, grid: VoxelGrid) -> Tensor:
+    """Distance [X, Y, Z] in metres from voxel centres to the nearest of the vertices, capped."""
     centers = grid.centers().reshape(-1, 3).numpy()
     distance, _ = vertices.query(centers, distance_upper_bound=MAX_DISTANCE)
     return torch.from_numpy(np.minimum(distance, MAX_DISTANCE)).float().reshape(grid.shape)
@@ -173,7 +169,7 @@ def write_groundtruth(
     with _volume(directory / "distance.npy", grid, np.float16) as distance:
         for first, last in slabs(grid, memory):
             part = grid.block((first, 0, 0), (last, *grid.shape[1:]))
-            distance(_surface_distance(tree, part))
+            distance(surface_distance(tree, part))
     centers, weight = chunk_candidates(surface, grid, structure=structure)
     np.savez(directory / "chunks.npz", centers=centers, weight=weight)
 

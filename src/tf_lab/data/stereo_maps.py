@@ -41,7 +41,7 @@ def prepare_stereo(scenes: Sequence[Path], noise: CameraNoise, workers: int | No
     if not missing():
         return
     with contextlib.ExitStack() as locks:
-        for folder in sorted({scene.parent for scene in scenes}):
+        for folder in sorted({scene.parent.parent for scene in scenes}):  # of hundreds of scenes
             locks.enter_context(directory_lock(folder, "stereo depth of"))
         tasks = {str(scene): partial(write_stereo, scene, noise) for scene in missing()}
         failed = run_tasks(tasks, "stereo depth", workers) if tasks else {}

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import trimesh
 
 from tf_lab.data.capture import Capture
-from tf_lab.data.groundtruth import MAX_READING, DepthMaps
+from tf_lab.data.groundtruth import DepthMaps
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Scene
 from tf_lab.geometry import in_view, invert_pose, project
@@ -79,10 +78,3 @@ def scene_visibility(scene: Scene, points: int = 20_000) -> Visibility:
     vertices = np.asarray(read_mesh(scene.groundtruth / "mesh_gt.ply").vertices)
     every = max(1, len(vertices) // points)
     return measure_visibility(scene, select_keyframes(scene.world_T_cam), vertices[::every])
-
-
-def views_per_point(
-    capture: Capture, frames: list[int], mesh: trimesh.Trimesh, tolerance: float = 0.05
-) -> np.ndarray:
-    """How many of the frames see each mesh vertex, however far: int64 [V]."""
-    return measure_visibility(capture, frames, mesh.vertices, MAX_READING, tolerance).seen

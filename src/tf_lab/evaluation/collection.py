@@ -39,9 +39,9 @@ class SceneMean(Metric):
         """Which way the metric is better."""
         return METRICS.named(self.settings).higher_is_better
 
-    def update(self, found: Comparison | None) -> None:
-        """Count a scene; None: its reconstruction is missing or empty."""
-        self.total += value(found, self.settings)
+    def update(self, found: Comparison | float | None) -> None:
+        """Count a scene, or its score; None: its reconstruction is missing or empty."""
+        self.total += found if isinstance(found, float) else value(found, self.settings)
         self.scenes += 1
 
     def compute(self) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import torch
 
 from tf_lab.data.groundtruth import DepthMaps, GroundTruth
 from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import PROTOCOL
 from tf_lab.evaluation.scores import Scores
@@ -20,6 +22,9 @@ from tf_lab.online.captures import Reconstruction, median_views
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
 from tf_lab.support.files import atomic_path, file_name, write_json
+from tf_lab.support.records import read_record, record
+
+KEPT = "scenes"  # of a run that is not finished: what there is of its scenes
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,9 @@ class SceneResult:
 
 
 def save_scene(
-    result: Reconstruction, scene: Scene, scores: Scores, seconds: float, run: Path
+    result: Reconstruction, scene: Scene, scores: Scores, seconds: float, run: Path, code: str
 ) -> SceneResult:
-    """Write a scene's mesh and picture to a run.
+    """Write a scene's mesh and picture to a run, and, until that is finished, what it returns.
 
     Args:
         result: the reconstruction.
@@ -43,6 +48,7 @@ def save_scene(
         scores: of the reconstruction.
         seconds: that it took.
         run: the run's directory.
+        code: which code this is.
     """
     name = file_name(scene.name)
     with atomic_path(run / "meshes" / f"{name}.ply") as temporary:
@@ -56,7 +62,22 @@ def save_scene(
     }
     if result.online is not None:
         details["view_sets"] = asdict(surface_views(result.online, scene, result.keyframes))
+    write_json(_kept(run, scene.name), {"code": code, "scores": scores, "details": details})
     return SceneResult(scores, details)
+
+
+def kept_scene(run: Path, scene: str, code: str) -> SceneResult | None:
+    """What `save_scene` kept of a scene of a run that is not finished, if the same code did."""
+    try:
+        kept = read_record(dict[str, Any], _kept(run, scene), "")
+        result = record(SceneResult, {name: kept[name] for name in ("scores", "details")})
+    except (TFLabError, ValueError, KeyError):
+        return None
+    return result if kept["code"] == code else None
+
+
+def _kept(run: Path, scene: str) -> Path:
+    return run / KEPT / f"{file_name(scene)}.json"
 
 
 def surface_views(online: Reconstructor, scene: Scene, keyframes: Sequence[int]) -> ViewSets:
@@ -81,6 +102,8 @@ def write_metrics(
 ) -> None:
     """Write a run's ``metrics.json``, which means that the run is finished.
 
+    What was kept of its scenes till then goes.
+
     Args:
         run: its directory.
         label: the row's name.
@@ -95,3 +118,4 @@ def write_metrics(
         "details": {name: result.details for name, result in results.items()},
     }
     write_json(run / "metrics.json", metrics)
+    shutil.rmtree(run / KEPT, ignore_errors=True)

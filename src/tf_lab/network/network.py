@@ -192,11 +192,15 @@ class Network(nn.Module):
             where: bool [B, P], which N of them.
             keep: see `forward`.
         """
-        measured = self._measure(maps, views, points).each(lambda values: values[where])
+        rows = where.flatten().nonzero().squeeze(1)  # once: a mask makes the host wait each time
+        measured = self._measure(maps, views, points).each(
+            lambda values: values.flatten(0, 1).index_select(0, rows)
+        )
         chunk = torch.arange(len(voxels), device=maps.device)[:, None].expand_as(voxels)
         named = [chunk, voxels, torch.full_like(voxels, LEVELS.index(level))]
-        keys = torch.stack(named, dim=-1)[where]
-        centers = (views.world_T_cam[:, None, :, :3, 3] - points.unsqueeze(2))[where]
+        keys = torch.stack(named, dim=-1).flatten(0, 1)[rows]
+        centers = views.world_T_cam[:, None, :, :3, 3] - points.unsqueeze(2)
+        centers = centers.flatten(0, 1)[rows]
         kept, slots, chosen = self.keep_views(level, measured, centers, keys, keep)
         times = chosen
         if views.times is not None:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import trimesh
 
 from tf_lab.data.capture import Capture
@@ -42,6 +41,7 @@ def reconstruct(
     capture: Capture,
     settings: ReconstructionSettings,
     progress: Callable[[int, int], None] | None = None,
+    color: bool = True,
 ) -> Reconstruction:
     """Reconstruct a capture from its keyframes; frames that can't be read are skipped.
 
@@ -50,6 +50,7 @@ def reconstruct(
         capture: posed images.
         settings: test-time settings.
         progress: called with (frames done, frames in all).
+        color: whether the mesh is painted.
 
     Raises:
         TFLabError: no frame can be read.
@@ -71,13 +72,14 @@ def reconstruct(
             f"{capture.name}: none of the {len(keyframes)} keyframes can be read; the first: "
             f"{skipped[0]}"
         )
-    return Reconstruction(online.mesh(), used, skipped, online)
+    return Reconstruction(online.mesh(color=color), used, skipped, online)
 
 
 def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> float:
     """By how many keyframes the median surface point is seen, occlusion considered."""
-    from tf_lab.data.visibility import views_per_point
+    from tf_lab.data.groundtruth import MAX_READING
+    from tf_lab.data.visibility import measure_visibility
     from tf_lab.meshes.files import read_mesh
 
     mesh = read_mesh(groundtruth / "mesh_gt.ply")
-    return float(np.median(views_per_point(capture, keyframes, mesh)))
+    return measure_visibility(capture, keyframes, mesh.vertices, MAX_READING).median

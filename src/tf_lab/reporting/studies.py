@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from tf_lab.reporting.paper import ABLATIONS, OURS
 from tf_lab.reporting.results import Run, find_runs
 
 SHOWN_DIFFERENCES = 4
-INIT = "content.init"  # among a study's settings: which weights its networks began with
 
 
 @dataclass(frozen=True)
@@ -128,38 +127,34 @@ def group(runs: Iterable[Run]) -> list[Study]:
     by_key: dict[str, list[Run]] = defaultdict(list)
     for run in runs:
         by_key[key_of(run.settings)].append(run)
-    for key, members in [*by_key.items()]:
-        if not _one_network_a_row(members):
-            del by_key[key]
-            for run in members:  # tests of different networks, which the row does not tell
-                settings = {**run.settings, INIT: run.config.content.init}
-                by_key[key_of(settings)].append(replace(run, settings=settings))
     studies = []
     for members in by_key.values():
         chosen: dict[tuple[str, int], Run] = {}
         lines = []
+        replaced = set()  # tested networks, by row
         for run in sorted(members, key=lambda run: run.finished):
             older = chosen.get((run.row, run.seed))
             copied = older is not None and older.scenes == run.scenes
             if copied and not run.config.data.root:  # kept without its meshes
                 continue
             chosen[run.row, run.seed] = run
+            if older and older.config.content.init != run.config.content.init:
+                replaced.add((run.row, older.config.content.init))
             if older and not copied:
                 lines.append(
                     f"{run.row}, seed {run.seed}: {_named(run)} counts, the older {_named(older)} "
                     "does not"
                 )
+        for (row, seed), run in [*chosen.items()]:
+            if (row, run.config.content.init) in replaced:  # no mean is over both networks
+                del chosen[row, seed]
+                lines.append(
+                    f"{row}, seed {seed}: {_named(run)} does not count, for another seed of this "
+                    "network was replaced by a newer one"
+                )
         studies.append(Study(members[0].settings, chosen, tuple(lines)))
     studies.sort(key=lambda s: (len(s.runs), max(r.finished for r in s.runs.values())))
     return studies[::-1]
-
-
-def _one_network_a_row(runs: Iterable[Run]) -> bool:
-    """Whether all runs of a row and seed began with the same weights."""
-    inits: dict[tuple[str, int], set[str | None]] = defaultdict(set)
-    for run in runs:
-        inits[run.row, run.seed].add(run.config.content.init)
-    return all(len(found) == 1 for found in inits.values())
 
 
 def _named(run: Run) -> str:

@@ -24,5 +24,5 @@ def device_of(name: str, setting: str = "device") -> torch.device:
         raise TFLabError(f"{setting}={name}: choose auto, cpu or cuda")
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         there = counted(torch.cuda.device_count(), "CUDA device")
-        raise TFLabError(f"{setting}={name}: torch sees {there}; {setting}=cpu is always there")
+        raise TFLabError(f"{setting}={name}: torch sees {there}; use {setting}=cpu")
     return device

@@ -13,6 +13,11 @@ from tf_lab.data.pairs import PairBatch, PairStream
 from tf_lab.training.evaluation import scene_loader
 
 
+def batches_done(trainer: L.Trainer) -> int:
+    """How many batches of a training each process has had."""
+    return trainer.global_step * trainer.accumulate_grad_batches
+
+
 class SceneDataModule(L.LightningDataModule):
     """Training chunks, and scene directories for validation.
 
@@ -32,7 +37,7 @@ class SceneDataModule(L.LightningDataModule):
         """Batches from the trainer's current step on, so that a resumed run goes on with them."""
         step, rank, world = 0, 0, 1
         if self.trainer is not None:
-            step, rank = self.trainer.global_step, self.trainer.global_rank
+            step, rank = batches_done(self.trainer), self.trainer.global_rank
             world = self.trainer.world_size
         return DataLoader(
             self.train.stream(self.seed, step, rank, world),
@@ -66,7 +71,7 @@ class PairDataModule(L.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[PairBatch]:
         """Batches from the trainer's current step on, so that a resumed run goes on with them."""
-        step = self.trainer.global_step if self.trainer is not None else 0
+        step = batches_done(self.trainer) if self.trainer is not None else 0
         return DataLoader(self.train(step), batch_size=None, num_workers=self.workers)
 
     def val_dataloader(self) -> list[DataLoader[PairBatch]]:

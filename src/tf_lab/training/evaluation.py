@@ -18,8 +18,9 @@ from tf_lab.data.scene import Scene
 from tf_lab.evaluation.collection import scene_means
 from tf_lab.evaluation.protocol import compared, read_groundtruth
 from tf_lab.evaluation.registry import METRICS, with_paper
-from tf_lab.evaluation.scenes import SceneResult, save_scene, write_metrics
+from tf_lab.evaluation.scenes import SceneResult, kept_scene, save_scene, write_metrics
 from tf_lab.evaluation.scores import Scores
+from tf_lab.experiments.provenance import code_version
 from tf_lab.network.network import Network
 from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
@@ -85,7 +86,7 @@ class SceneEvaluation(L.LightningModule):
     def validation_step(self, directory: Path | None, batch_idx: int) -> None:
         """Reconstruct and score a scene of the val split."""
         if directory is not None:
-            self._score(Scene(directory))
+            self._score(Scene(directory), color=False)
 
     def on_validation_epoch_end(self) -> None:
         """Log the means over all scenes as ``val/<metric>``."""
@@ -96,14 +97,23 @@ class SceneEvaluation(L.LightningModule):
         self.results = {}
 
     def test_step(self, directory: Path | None, batch_idx: int) -> Scores | None:
-        """Reconstruct and score a scene of the test split; write its mesh and picture."""
+        """Reconstruct and score a scene of the test split; write its mesh and picture.
+
+        A scene that a stopped test of the same code came to the end of is not done again.
+        """
         if directory is None:
             return None
         assert self.run is not None
-        scene = Scene(directory)
-        result, scores, seconds = self._score(scene)
-        self.results[scene.name] = save_scene(result, scene, scores, seconds, self.run)
-        return scores
+        scene, code = Scene(directory), code_version()
+        kept = kept_scene(self.run, scene.name, code)
+        if kept is None:
+            result, scores, seconds = self._score(scene)
+            kept = save_scene(result, scene, scores, seconds, self.run, code)
+        else:
+            for name in self.names:
+                self.scores[name].update(kept.scores[name])
+        self.results[scene.name] = kept
+        return kept.scores
 
     def on_test_epoch_end(self) -> None:
         """Put the scenes of all processes together; the first process writes the run's metrics."""
@@ -119,7 +129,7 @@ class SceneEvaluation(L.LightningModule):
             print(f"the median surface point of a test scene is seen by {seen:.0f} keyframes")
             write_metrics(self.run, self.label, mean, results)
 
-    def _score(self, scene: Scene) -> tuple[Reconstruction, Scores, float]:
+    def _score(self, scene: Scene, color: bool = True) -> tuple[Reconstruction, Scores, float]:
         """A scene's reconstruction, its scores, and the seconds that reconstructing it took."""
 
         def show(done: int, total: int) -> None:
@@ -127,7 +137,7 @@ class SceneEvaluation(L.LightningModule):
                 self.tell(f"{scene.name} " + ("meshing" if done == total else f"{done}/{total}"))
 
         start = time.time()
-        result = reconstruct(self.network, scene, self.capture_settings, show)
+        result = reconstruct(self.network, scene, self.capture_settings, show, color)
         seconds = time.time() - start
         truth = read_groundtruth(scene.groundtruth)
         return result, in_order(self.scores(compared(result.mesh, truth)), self.names), seconds

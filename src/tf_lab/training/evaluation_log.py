@@ -18,7 +18,7 @@ from tf_lab.experiments.identity import training_directory
 from tf_lab.meshes.decimate import at_most
 from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import glb_of, vertex_colors
-from tf_lab.support.files import file_name
+from tf_lab.support.files import atomic_directory, file_name
 from tf_lab.training.loggers import account, is_wandb
 
 FACES = 60_000  # of a logged mesh, where faces can be left out
@@ -91,7 +91,7 @@ def _to_tensorboard(run: Path, metrics: Metrics) -> None:
     folder = run / "tensorboard"
     if folder.exists():
         return
-    with SummaryWriter(str(folder)) as writer:
+    with atomic_directory(folder) as temporary, SummaryWriter(str(temporary)) as writer:
         for key, value in metrics.mean.items():
             writer.add_scalar(f"test/{key}", value, 0)
         for scene in metrics.scenes:

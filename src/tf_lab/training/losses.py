@@ -7,6 +7,8 @@ the gradient of one process with all their chunks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 import torch.distributed as dist
 import torch.nn.functional as F
@@ -87,6 +89,15 @@ def losses(
         total = total + sdf_weight * terms["sdf"]
     terms["loss"] = total
     return terms
+
+
+def mean_over_processes(values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Numbers averaged over the processes of a distributed training, by one call for all."""
+    found = torch.stack([*values.values()])
+    if dist.is_available() and dist.is_initialized():
+        dist.all_reduce(found)
+        found = found / dist.get_world_size()
+    return dict(zip(values, found.unbind(), strict=True))
 
 
 def _count(where: Tensor) -> Tensor:

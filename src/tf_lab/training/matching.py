@@ -10,7 +10,7 @@ import lightning as L
 import torch
 import torch.nn.functional as F
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
-from torch import Tensor
+from torch import Tensor, nn
 
 from tf_lab.data.pairs import PairBatch
 from tf_lab.geometry import sample_maps
@@ -85,6 +85,10 @@ class Matching(L.LightningModule):
         self.trunk_factor, self.temperature, self.sets = trunk_factor, temperature, sets
         for parameter in encoder.trunk_parameters():
             parameter.requires_grad_(trunk_factor > 0)
+        if trunk_factor == 0:  # nor do its batch statistics change; Lightning keeps these modes
+            for part in encoder.modules():
+                if isinstance(part, nn.BatchNorm2d):
+                    part.eval()
 
     def _losses(self, batch: PairBatch) -> dict[str, Tensor]:
         size = (batch.images.shape[-1], batch.images.shape[-2])

@@ -20,7 +20,7 @@ from tf_lab.online.views import make_policy
 from tf_lab.online.views.batch import BatchSelection
 from tf_lab.training.evaluation import SceneEvaluation
 from tf_lab.training.known_maps import KnownMaps
-from tf_lab.training.losses import losses
+from tf_lab.training.losses import losses, mean_over_processes
 from tf_lab.training.schedule import learning_rate_factor
 
 
@@ -46,6 +46,9 @@ class Training(SceneEvaluation):
         metrics: Sequence[Any] = (),
     ) -> None:
         super().__init__(network, test, metrics)
+        if not network.config.filter:  # L = L_o: nothing teaches the heads; DDP wants to know
+            for head in (network.refinement.coarse_mask, network.refinement.fine_mask):
+                head.requires_grad_(False)
         self.optimizer_settings, self.sdf_weight = optimizer, sdf_weight
         frozen = optimizer.encoder_factor == 0
         self.known_maps = KnownMaps(network, maps_memory) if frozen else None
@@ -73,12 +76,8 @@ class Training(SceneEvaluation):
             use_masks=self.network.config.filter,
             sdf_weight=self.sdf_weight,
         )
-        seen = {k: v.detach() for k, v in terms.items()}
-        self.log_dict(
-            {f"train/{k}": v for k, v in seen.items()},
-            batch_size=len(batch.images),
-            sync_dist=True,
-        )
+        seen = mean_over_processes({k: v.detach() for k, v in terms.items()})
+        self.log_dict({f"train/{k}": v for k, v in seen.items()}, batch_size=len(batch.images))
         return {**seen, "loss": terms["loss"]}
 
     def configure_optimizers(self) -> OptimizerLRScheduler:

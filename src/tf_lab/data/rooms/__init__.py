@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 
 from tf_lab.data.rooms.arrange import furnish, hang_lamp
 from tf_lab.data.rooms.decor import Kit
@@ -63,11 +62,6 @@ def make_room(seed: int) -> Room:
     lighting = make_lighting(plan, rng)
     hang_lamp(kit, lighting.positions[0], plan.height)
     return Room(plan, placed, kit.s.build(), textures, lighting)
-
-
-def room_mesh(seed: int, settings: RoomSettings) -> trimesh.Trimesh:
-    """The room's surface (metres, z up, floor at 0), exactly what `generate_room` renders."""
-    return make_room(seed).geometry.mesh()
 
 
 def intrinsics(settings: RoomSettings) -> np.ndarray:

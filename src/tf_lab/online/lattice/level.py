@@ -107,14 +107,14 @@ class Level:
         frames = self.store.frames
         count = (frames[rows] >= 0).sum(1)
         order = count.argsort(stable=True)
-        most = count[order].tolist()
         psi = torch.zeros(len(rows), self.features["psi"].shape[1], device=self.device)
         weights = torch.zeros(len(rows), frames.shape[1], device=self.device)
         if self.device.type == "cpu":
             batch = max(1, min(batch, FUSED // (frames.shape[1] * psi.shape[1])))
-        for start in range(0, len(rows), batch):
-            part = order[start : start + batch]
-            k = max(1, most[min(start + batch, len(rows)) - 1])
+        starts = range(0, len(rows), batch)
+        ends = [min(start + batch, len(rows)) - 1 for start in starts]
+        for start, most in zip(starts, count[order[ends]].tolist(), strict=True):
+            part, k = order[start : start + batch], max(1, most)
             kept, slots = self.measurements(rows[part], k)
             tokens = self.network.embed_kept(self.name, kept)
             fused, w = self.network.fuse(self.name, tokens, slots, frames[rows[part], :k])
