@@ -13,7 +13,8 @@ from torch import Tensor
 from helpers.lite0 import TABLE, blocks, made_up, published_shapes
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import ENCODERS, make_encoder
-from tf_lab.network.encoders.efficientnet import PACKAGE, EfficientNetLite0, SameConv
+from tf_lab.network.encoders.efficientnet import PACKAGE, EfficientNetLite0
+from tf_lab.network.encoders.strided import SameConv
 from tf_lab.network.encoders.weights import load_encoder_weights
 
 SIZES: dict[str, Any] = {

@@ -20,6 +20,7 @@ from tf_lab.network.encoders import resnet
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.resnet import IMAGENET_URL, ResNet
 from tf_lab.network.encoders.weights import load_encoder_weights, read_state_dict
+from tf_lab.network.settings import NetworkConfig
 
 RESNET18: dict[str, Any] = {
     "width": 64,
@@ -322,3 +323,37 @@ def test_a_checkpoint_from_before_encoders_had_names(tmp_path: Path) -> None:
         for level, top in (("coarse", tops[1]), ("fine", tops[3])):
             expected = F.normalize(convolve(top, f"{level}_head"), dim=1) * 32**0.5
             assert torch.equal(found[level], expected)
+
+
+@pytest.mark.parametrize("pool", [True, False])
+@pytest.mark.parametrize("stage", range(4))
+def test_a_pixel_of_a_stage_looks_at_its_own_place(stage: int, pool: bool) -> None:
+    """By the centre of the image pixels that it depends on: within a quarter of its stride.
+
+    Torchvision's padding looks (stride - 1) / 2 beside it.
+    """
+
+    def centre(centered: bool) -> float:
+        encoder = ResNet(**{**SMALL, "coarse_stride": stride, "fine_stride": stride,
+                            "stem_pool": pool, "centered": centered}).eval()  # fmt: skip
+        for module in encoder.modules():
+            if isinstance(module, torch.nn.Conv2d):  # an average
+                torch.nn.init.constant_(module.weight, 1 / module.weight[0].numel())
+        images = torch.rand(1, 3, 256, 256, requires_grad=True)
+        row = 128 // stride
+        encoder.stages(images)[stage][0, :, row, row].sum().backward()
+        assert images.grad is not None
+        touched = images.grad[0].abs().sum((0, 1)).nonzero()
+        assert touched.min() > 0 and touched.max() < 255
+        return float(touched.min() + touched.max()) / 2 - ((row + 0.5) * stride - 0.5)
+
+    stride = 2 ** (stage + 1 + pool)
+    assert centre(False) == pytest.approx((1 - stride) / 2, abs=1)  # of a pool one pixel has it all
+    assert abs(centre(True)) <= stride / 4 + pool
+
+
+def test_a_checkpoint_of_before_is_not_centered() -> None:
+    config = NetworkConfig(
+        width=8, blocks=1, heads=1, expansion=1, hidden=8, refine_blocks=1, encoder=SMALL
+    )
+    assert config.encoder == {**SMALL, "centered": False}

@@ -8,7 +8,7 @@ from typing import Any
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
-from tf_lab.support.settings import check_given, check_ranges, setting
+from tf_lab.support.settings import absent_values, check_given, check_ranges, setting
 
 MOST_FAR = 50  # metres; a frustum that long holds a million coarse voxels
 
@@ -68,6 +68,7 @@ class NetworkConfig(NetworkSizes):
         object.__setattr__(self, "fusion", asdict(FUSIONS.settings(self.fusion)))
         check_ranges(self, "model.")
         kind = ENCODERS[self.encoder.get("name", "resnet")].settings
+        object.__setattr__(self, "encoder", {**absent_values(kind), **self.encoder})
         check_given(kind, self.encoder, "encoder.")
         if self.width % self.heads:
             raise TFLabError(f"model.width={self.width} must be a multiple of heads={self.heads}")

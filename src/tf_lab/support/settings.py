@@ -109,6 +109,12 @@ def shaping(settings: Any, what: Shapes) -> dict[str, Any]:
     return found
 
 
+def absent_values(kind: type) -> dict[str, Any]:
+    """Of the settings that came later, by name: the values that mean what was before."""
+    later = {f.name: f.metadata.get("absent", MISSING) for f in dataclasses.fields(kind)}
+    return {name: value for name, value in later.items() if value is not MISSING}
+
+
 def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasses.Field[Any]]]:
     """The dotted name and the field of every setting of a dataclass, nested ones included."""
     for field in dataclasses.fields(settings):

@@ -28,7 +28,8 @@ def mask_loss(logits: Tensor, target: Tensor, where: Tensor) -> Tensor:
         target: bool [B, X, Y, Z].
         where: bool [B, X, Y, Z]; 0 is returned if none is set.
     """
-    logits, truth = logits[where], target[where].float()
+    logits, target = _of(where, logits, target)
+    truth = target.float()
     loss = F.binary_cross_entropy_with_logits(
         logits, truth, weight=1 + (NEAR_WEIGHT - 1) * truth, reduction="sum"
     )
@@ -37,9 +38,8 @@ def mask_loss(logits: Tensor, target: Tensor, where: Tensor) -> Tensor:
 
 def occupancy_loss(logits: Tensor, occupied: Tensor, where: Tensor) -> Tensor:
     """BCE of occupancy [B, P] over the points ``where``; 0 if there are none."""
-    loss = F.binary_cross_entropy_with_logits(
-        logits[where], occupied[where].float(), reduction="sum"
-    )
+    logits, occupied = _of(where, logits, occupied)
+    loss = F.binary_cross_entropy_with_logits(logits, occupied.float(), reduction="sum")
     return loss / _count(where)
 
 
@@ -53,8 +53,9 @@ def sdf_loss(logits: Tensor, sdf: Tensor, where: Tensor) -> Tensor:
         sdf: [B, P] in metres, positive in free space.
         where: bool [B, P].
     """
+    logits, sdf = _of(where, logits, sdf)
     target = (-sdf / SDF_SCALE).clamp(-SDF_CLIP, SDF_CLIP)
-    loss = F.smooth_l1_loss(logits[where], target[where], reduction="sum")
+    loss = F.smooth_l1_loss(logits, target, reduction="sum")
     return loss / _count(where)
 
 
@@ -89,6 +90,12 @@ def losses(
         total = total + sdf_weight * terms["sdf"]
     terms["loss"] = total
     return terms
+
+
+def _of(where: Tensor, *values: Tensor) -> list[Tensor]:
+    """Values of one shape where a mask is set; a GPU is waited for but once."""
+    rows = where.flatten().nonzero().squeeze(1)
+    return [value.flatten()[rows] for value in values]
 
 
 def mean_over_processes(values: Mapping[str, Tensor]) -> dict[str, Tensor]:

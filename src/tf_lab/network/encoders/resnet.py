@@ -7,6 +7,7 @@ not say which layers give the features; the strides are config values (1/16 and 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from torch import Tensor, nn
 
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import Encoder, group_norm
+from tf_lab.network.encoders.strided import SameConv, SamePool
 
 IMAGENET_URL = "https://download.pytorch.org/models/resnet18-f37072fd.pth"
 
@@ -29,16 +31,16 @@ def _norm(kind: str, channels: int) -> nn.Module:
 class BasicBlock(nn.Module):
     """Two 3x3 convolutions with a residual connection; names as in torchvision."""
 
-    def __init__(self, inputs: int, channels: int, stride: int, norm: str) -> None:
+    def __init__(self, inputs: int, channels: int, stride: int, norm: str, lower: bool) -> None:
         super().__init__()
-        self.conv1 = nn.Conv2d(inputs, channels, 3, stride, 1, bias=False)
+        self.conv1 = SameConv(inputs, channels, 3, stride, lower)
         self.bn1 = _norm(norm, channels)
         self.conv2 = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
         self.bn2 = _norm(norm, channels)
         self.downsample: nn.Module | None = None
         if stride != 1 or inputs != channels:
             self.downsample = nn.Sequential(
-                nn.Conv2d(inputs, channels, 1, stride, bias=False), _norm(norm, channels)
+                SameConv(inputs, channels, 1, stride, lower), _norm(norm, channels)
             )
 
     def forward(self, x: Tensor) -> Tensor:
@@ -57,6 +59,8 @@ class ResNet(Encoder):
         stem_stride: stride of the first convolution (2 in ResNet-18).
         stem_pool: whether a 3x3 max-pooling of stride 2 follows (True in ResNet-18).
         norm: "batch" (as ImageNet weights need it) or "group" (for small batches).
+        centered: whether strides take turns (`SameConv`); False: maps of stride s look
+            (s - 1) / 2 image pixels beside their place, as torchvision's.
         maps: strides, channels and length of the maps' features, see `Encoder.build_pyramid`.
     """
 
@@ -69,12 +73,14 @@ class ResNet(Encoder):
         stem_stride: int,
         stem_pool: bool,
         norm: str,
+        centered: bool = False,
         **maps: Any,
     ) -> None:
         super().__init__()
-        self.conv1 = nn.Conv2d(3, width, 7, stem_stride, 3, bias=False)
+        turns = cycle((True, False) if centered else (False,))  # of the strides of 2
+        self.conv1 = SameConv(3, width, 7, stem_stride, stem_stride == 2 and next(turns))
         self.bn1 = _norm(norm, width)
-        self.pool = nn.MaxPool2d(3, 2, 1) if stem_pool else nn.Identity()
+        self.pool = SamePool(next(turns)) if stem_pool else nn.Identity()
         stride = stem_stride * (2 if stem_pool else 1)
         self.strides: list[int] = []
         channels = [width]
@@ -82,9 +88,10 @@ class ResNet(Encoder):
             step = 1 if i == 0 else 2
             stride *= step
             self.strides.append(stride)
-            layers = [BasicBlock(channels[-1], width * 2**i, step, norm)]
-            layers += [BasicBlock(width * 2**i, width * 2**i, 1, norm) for _ in range(count - 1)]
-            channels.append(width * 2**i)
+            inner, lower = width * 2**i, step == 2 and next(turns)
+            layers = [BasicBlock(channels[-1], inner, step, norm, lower)]
+            layers += [BasicBlock(inner, inner, 1, norm, lower) for _ in range(count - 1)]
+            channels.append(inner)
             self.add_module(f"layer{i + 1}", nn.Sequential(*layers))
         self.build_pyramid(self.strides, channels[1:], **maps)
 

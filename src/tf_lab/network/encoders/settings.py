@@ -52,6 +52,12 @@ class ResNetSettings(EncoderSettings):
         "batch (as ImageNet's weights need it) or group (for small batches)",
         shapes="weights",
     )
+    centered: bool = setting(
+        True,
+        "maps look at their own place; false: beside it, as weights trained so want it",
+        shapes="weights",
+        absent=False,
+    )
 
     def __post_init__(self) -> None:
         if self.norm not in ("batch", "group"):
