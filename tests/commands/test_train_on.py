@@ -53,6 +53,11 @@ def test_more_steps_of_a_schedule_that_does_not_end(train: Train, tmp_path: Path
     assert different(weights(short), weights(whole)) != []
     other = train(*common, "optimizer.steps=21", "seed=1", f"output={tmp_path / 'two'}")
     assert "going on" not in other.out
+    fewer = train(*common, "optimizer.steps=10", f"output={tmp_path / 'two'}")  # than the long one
+    assert f"going on from {short.path('training') / 'last.ckpt'}" in fewer.out
+    last = torch.load(fewer.path("training") / "last.ckpt", weights_only=True)
+    assert last["global_step"] == 10
+    assert different(weights(fewer), weights(long)) != []
 
 
 def test_more_steps_of_a_schedule_that_ended(train: Train, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from helpers.layouts import plain, room_frames, sens, seven_scenes
 from tf_lab.data import captures
@@ -23,7 +24,7 @@ from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import pose_distance
-from tf_lab.meshes.files import read_mesh
+from tf_lab.meshes.files import read_mesh, write_mesh
 
 READ = ReadSettings(gravity=(0.0, 0.0, -1.0))
 SMALL = ImportSettings(width=48, height=36, keyframe_distance=0.0, read=READ)
@@ -98,6 +99,8 @@ def test_a_turned_world_is_brought_upright(tmp_path: Path) -> None:
     turn = np.array([[1.0, 0, 0, 0.3], [0, 0, -1, 0.1], [0, 1, 0, -2], [0, 0, 0, 1]])
     frames = [type(f)(f.name, f.image, f.K, turn @ f.world_T_cam, f.depth) for f in room_frames()]
     source = plain.write(tmp_path / "turned", frames)
+    official = trimesh.creation.icosphere(radius=0.5).apply_transform(turn)  # in its own world
+    write_mesh(official, source / "turned_vh_clean_2.ply")
     down = tuple(turn[:3, :3] @ [0, 0, -1])
     scene = imported(
         source, tmp_path / "scene", ImportSettings(48, 36, 0.0, read=ReadSettings(gravity=down))
@@ -105,9 +108,11 @@ def test_a_turned_world_is_brought_upright(tmp_path: Path) -> None:
     back = scene.source_T_world @ scene.world_T_cam
     np.testing.assert_allclose(back, np.stack([f.world_T_cam for f in frames]), atol=1e-9)
     straight = imported(plain.write(tmp_path / "straight", room_frames()), tmp_path / "scene2")
-    meshes = [read_mesh(s.groundtruth / "mesh_gt.ply") for s in (scene, straight)]
-    heights = [np.ptp(np.asarray(mesh.vertices)[:, 2]) for mesh in meshes]
-    assert heights[0] == pytest.approx(heights[1], abs=0.05)
+    truth = read_mesh(scene.groundtruth / "mesh_gt.ply")
+    back = trimesh.transform_points(truth.vertices, scene.source_T_world)
+    np.testing.assert_allclose(back, official.vertices, atol=1e-5)
+    spans = [np.ptp(s.world_T_cam[:, 2, 3]) for s in (scene, straight)]  # of the cameras' heights
+    assert spans[0] == pytest.approx(spans[1], abs=1e-9)
 
 
 def test_one_bad_capture_does_not_stop_the_others(source: Path, tmp_path: Path) -> None:

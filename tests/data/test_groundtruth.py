@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from helpers import box_room
-from tf_lab.data.chunk_weights import EMPTY_SHARE, chunk_candidates
+from tf_lab.data.chunk_weights import EMPTY_SHARE, Structure, chunk_candidates
 from tf_lab.data.groundtruth import (
     MAX_DISTANCE,
     GroundTruth,
@@ -219,6 +219,21 @@ def test_chunk_weights_rise_from_free_space_over_walls_to_furniture() -> None:
     assert at(5.1, 5.1, 0.0) == pytest.approx(1.0)  # the floor
     assert at(1.4, 1.4, 1.0) > 2
     assert 0.15 <= weight.min() <= weight.max() <= 3
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_labels_say_what_is_furniture(flipped: bool) -> None:
+    """Whatever its shape: here the box, or all but the box."""
+    hall = parts(([0, 0, 0], [8, 8, 2.6]), ([1, 1, 0.6], [1.8, 1.8, 1.4]))
+    points = np.asarray(hall.vertices)
+    box = ((points > [0.99, 0.99, 0.59]) & (points < [1.81, 1.81, 1.41])).all(1)
+    grid = VoxelGrid((0, 0, 0), VOXEL, (200, 200, 65))
+    centers, weight = chunk_candidates(hall, grid, structure=Structure(points, ~box ^ flipped))
+    at_box, at_wall = (
+        weight[np.linalg.norm(centers - np.array(place), axis=1).argmin()]
+        for place in ((1.4, 1.4, 1.0), (7.8, 5.1, 1.2))
+    )
+    assert (at_box > 2, at_wall > 2) == (not flipped, flipped)
 
 
 def test_a_scene_of_walls_alone_has_no_furniture() -> None:

@@ -148,6 +148,38 @@ def test_whatever_is_trained_gets_a_gradient(
     assert any("coarse_mask" in name for name in trained) == variant.get("filter", True)
 
 
+def test_a_step_keeps_the_views_that_the_batch_says(
+    write: Write, tiny_network: Callable[..., Network]
+) -> None:
+    batch = next(iter(source(write()).stream(SEED, 0, 0, 1)))
+
+    def loss(fusion: str = "transformer", **changes: Any) -> float:
+        settings = ReconstructionSettings()
+        module = Training(tiny_network(fusion=fusion), OPTIMIZER, 0.0, settings)
+        module.log_dict = lambda *_, **__: None  # type: ignore[method-assign]
+        return module.training_step(replace(batch, **changes), 0)["loss"].item()
+
+    every = loss(keep=0, rule="random")
+    assert loss(keep=0, rule="attention") == every
+    two = [loss(keep=2, rule="random"), loss(keep=2, rule="attention")]
+    others = loss(keep=2, rule="random", draws=batch.draws + 1)
+    assert len({every, *two, others}) == 4
+    assert loss("gru", keep=0) != loss("gru", keep=0, times=batch.times.flip(1))
+
+
+def test_what_adam_is_given(tiny_network: Callable[..., Network]) -> None:
+    given = {"lr": 3e-4, "betas": (0.8, 0.99), "eps": 1e-7, "weight_decay": 0.02}
+    settings = replace(OPTIMIZER, **given, encoder_factor=0.25)  # type: ignore[arg-type]
+    module = Training(tiny_network(), settings, 0.0, ReconstructionSettings())
+    others, encoder = module.configure_optimizers()["optimizer"].param_groups  # type: ignore[index,call-overload]
+    assert [others["initial_lr"], encoder["initial_lr"]] == pytest.approx([3e-4, 7.5e-5])
+    for group in (others, encoder):
+        assert (group["betas"], group["eps"], group["weight_decay"]) == ((0.8, 0.99), 1e-7, 0.02)
+    expected = {*map(id, module.network.encoder.parameters())}
+    assert {*map(id, encoder["params"])} == expected
+    assert expected.isdisjoint(map(id, others["params"]))
+
+
 def first_loss(chunks: ChunkSource, workers: int, network: Network, folder: Path) -> float:
     """Of the first step of a training."""
     module = Training(network.train(), OPTIMIZER, 0.5, ReconstructionSettings())

@@ -190,9 +190,13 @@ def test_of_a_large_point_cloud_some_points_count(monkeypatch: pytest.MonkeyPatc
     ],
 )
 def test_a_wrong_scale_is_told(
-    folders: tuple[Path, Path], factor: float, expected: str | None
+    folders: tuple[Path, Path],
+    factor: float,
+    expected: str | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of a mesh and of a point cloud, outliers or not."""
+    monkeypatch.setattr("tf_lab.evaluation.protocol.SAMPLES", 2000)
     predictions, truth = folders
     for path in predictions.iterdir():
         mesh = trimesh.load(path, process=False)
@@ -294,8 +298,9 @@ def damage(scene: Path, file: str) -> None:
 @pytest.mark.parametrize("file", ["mesh_gt.ply", "occlusion_mask.npy", "world2grid.txt"])
 @pytest.mark.parametrize("how", ["missing", "garbage", "wrong"])
 def test_a_broken_scene_is_named_and_the_others_go_on(
-    folders: tuple[Path, Path], file: str, how: str
+    folders: tuple[Path, Path], file: str, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("tf_lab.evaluation.protocol.SAMPLES", 2000)
     predictions, truth = folders
     if how == "missing":
         (truth / "far" / file).unlink()

@@ -237,13 +237,22 @@ def test_view_weights(tiny_network: Factory, scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    "select",
-    [{"select": "attention"}, {"select": "random", "seed": 5}, {"select": "diverse", "seed": 6}],
+    ("select", "inputs"),
+    [
+        ({"select": "attention"}, {}),
+        ({"select": "random", "seed": 5}, {}),
+        ({"select": "diverse", "seed": 6}, {"matching": True, "stereo": True}),
+    ],
 )
 def test_save_and_go_on(
-    tiny_network: Factory, scene: Scene, tmp_path: Path, select: dict[str, Any]
+    tiny_network: Factory,
+    scene: Scene,
+    tmp_path: Path,
+    select: dict[str, Any],
+    inputs: dict[str, bool],
 ) -> None:
-    network = balanced(tiny_network(), scene)
+    """Depth by stereo is not stored, but found anew from the images."""
+    network = balanced(trained_to_match(tiny_network(**inputs)), scene)
     expected = reconstruct(network, scene, **select, views=3)
     half = reconstruct(network, scene, FRAMES[:3], **select, views=3)
     half.mesh()

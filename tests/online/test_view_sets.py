@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from helpers import box_room
-from helpers.online.scenes import FRAMES, Factory, reconstruct
+from helpers.online.scenes import FRAMES, Factory, balanced, reconstruct
 from tf_lab.data.scene import Scene
+from tf_lab.evaluation.scenes import surface_views
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
 
@@ -106,3 +107,16 @@ def test_random_sets_vary_more_between_neighbours(tiny_network: Factory, scene: 
         for r in [reconstruct(network, scene, views=2, select=select)]
     }
     assert by["random"] > by["attention"]
+
+
+def test_a_scenes_view_sets_are_of_its_own_frames(tiny_network: Factory, scene: Scene) -> None:
+    """Of the voxels at the analytic surface, by the analytic depth of the frames used."""
+    r = reconstruct(balanced(tiny_network(), scene), scene, views=3)
+    r.update()
+    rows = torch.arange(r.fine.blocks.rows)
+    distance = np.abs(box_room.signed_distance(r.fine.points(rows).double().numpy()))
+    expected = view_sets(r.fine, rows[torch.from_numpy(distance < r.fine.voxel / 2)], DEPTHS)
+    found = surface_views(r, scene, FRAMES)
+    assert found.voxels == pytest.approx(expected.voxels, rel=0.2)
+    assert found.visible == pytest.approx(expected.visible, abs=0.03)
+    assert found.visible_of_all == pytest.approx(expected.visible_of_all, abs=0.03)

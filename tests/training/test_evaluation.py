@@ -22,6 +22,7 @@ from tf_lab.meshes.files import read_mesh
 from tf_lab.online.captures import Reconstruction
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.training import evaluation
+from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, scene_loader
 
 Evaluate = Callable[..., tuple[SceneEvaluation, Path]]
@@ -185,6 +186,23 @@ def test_two_processes_report_what_one_does(evaluate: Evaluate, count: int) -> N
     workers = [details["skipped"][0] for details in two["details"].values()]
     assert len({*workers}) == min(2, count)
     assert workers == [workers[i % 2] for i in range(count)]  # every other one each
+
+
+def test_a_resumed_training_asks_for_its_next_batch() -> None:
+    """Which is not its next step, where a step takes several."""
+    asked: list[tuple[int, ...]] = []
+
+    class Chunks:
+        def stream(self, *of: int) -> list[int]:
+            asked.append(of)
+            return [0]
+
+    data = SceneDataModule(Chunks(), [], seed=7, workers=0)  # type: ignore[arg-type]
+    trainer: Any = Shared(1, 3)
+    trainer.global_step, trainer.accumulate_grad_batches = 5, 2
+    data.trainer = trainer
+    data.train_dataloader()
+    assert asked == [(7, 10, 1, 3)]
 
 
 class Validated(L.LightningDataModule):

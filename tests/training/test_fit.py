@@ -75,6 +75,14 @@ def test_an_interrupted_one_goes_on_to_the_same_end(tmp_path: Path) -> None:
     assert saved["global_step"] == 9
 
 
+def test_gradients_are_clipped(tmp_path: Path) -> None:
+    """Of the batches 0, 1 and 2 the gradients are 0, -4 and -15.9: steps of 0, 0.01 and 0.01."""
+    line = Line()
+    settings = FitSettings(steps=3, save_every=9, clip=1.0)
+    fit(line, Numbers, tmp_path, CPU, settings, loggers=[])
+    assert line.slope.item() == pytest.approx(0.02, abs=1e-6)
+
+
 def test_one_of_another_identity_starts_anew(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,13 +12,19 @@ import numpy as np
 from helpers.fuzz.mutations import change_header, changed
 from tf_lab.data import shards
 
+KINDS = 8
+HARMLESS = (3, 4)  # files elsewhere, which nobody asks for
 
-def change_tar(path: Path, rng: np.random.Generator) -> None:
-    """A shard with a strange member or other content, of which checksum and index say so."""
+
+def change_tar(path: Path, rng: np.random.Generator, how: int | None = None) -> None:
+    """A shard with a strange member or other content, of which checksum and index say so.
+
+    ``how`` is one of the `KINDS`, by chance if it is not given.
+    """
     with tarfile.open(path) as tar:
         members = {m.name: tar.extractfile(m).read() for m in tar if m.isfile()}  # type: ignore[union-attr]
     first = min(members).split(".")[0]
-    how = rng.integers(8)
+    how = int(rng.integers(KINDS)) if how is None else how
     if how == 0:
         _change_chunk(members, first, rng)
     strange = {
@@ -27,7 +33,7 @@ def change_tar(path: Path, rng: np.random.Generator) -> None:
         3: _file("../../outside"),
         4: _file("/outside"),
         5: _sparse(f"{first}.02.jpg"),
-    }.get(int(how), b"")
+    }.get(how, b"")
     out = io.BytesIO()
     with tarfile.open(fileobj=out, mode="w") as tar:
         for name, content in members.items():

@@ -1,6 +1,7 @@
 """What the tests of reconstruction share: a room, few frames, networks that say yes and no."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from tf_lab.online.lattice.blocks import offsets
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.state import fingerprint
 
 Factory = Callable[..., Any]  # a Network; to mypy its parts are Tensor | Module
 
@@ -66,8 +68,23 @@ def trained_to_match(network: Any) -> Any:
 def balanced(network: Any, scene: Scene) -> Any:
     """Shift the heads so that each says yes about half of the time; random ones may never."""
     refinement = network.refinement
+    heads = (refinement.coarse_mask[-1], refinement.fine_mask[-1], network.occupancy.output)
+    known = (fingerprint(network), scene.directory)
+    if known not in _BALANCED:
+        _balance(network, heads, scene)
+        _BALANCED[known] = [head.bias.detach().clone() for head in heads]
+    with torch.no_grad():
+        for head, bias in zip(heads, _BALANCED[known], strict=True):
+            head.bias.copy_(bias)
+    return network
+
+
+_BALANCED: dict[tuple[str, Path], list[Tensor]] = {}  # the heads' biases by network and scene
+
+
+def _balance(network: Any, heads: Sequence[Any], scene: Scene) -> None:
     grid = VoxelGrid.covering(box_room.ROOM[0], box_room.ROOM[1], COARSE)
-    for head in (refinement.coarse_mask[-1], refinement.fine_mask[-1], network.occupancy.output):
+    for head in heads:
         said: list[Tensor] = []
         handle = head.register_forward_hook(lambda _m, _i, out, said=said: said.append(out))
         settings = settings_of(resolution=0.1)
@@ -75,7 +92,6 @@ def balanced(network: Any, scene: Scene) -> Any:
         handle.remove()
         with torch.no_grad():  # voxels without features all say the same: count them once
             head.bias.sub_(torch.cat([out.flatten() for out in said]).unique().median().item())
-    return network
 
 
 def on_grid(level: Level, values: Tensor, grid: VoxelGrid) -> Tensor:
