@@ -13,7 +13,7 @@ from helpers.made_up_runs import ROWS, write_study
 from tf_lab.reporting.paper import SCORES
 
 NOTEBOOK = Path(__file__).resolve().parents[1] / "notebooks" / "results.ipynb"
-PICTURES = NOTEBOOK.parents[1] / "results" / "reference" / "pictures"
+PICTURES = NOTEBOOK.parents[1] / "results" / "flats" / "pictures"
 
 
 def execute(
@@ -80,8 +80,8 @@ def test_it_is_committed_with_its_outputs_and_small() -> None:
     outputs = [o for c in notebook.cells for o in c.get("outputs", [])]
     kinds = [kind for output in outputs for kind in output.get("data", {})]
     assert kinds.count("image/png") == 2  # charts
-    assert kinds.count("image/jpeg") == len(list(PICTURES.glob("*.png"))) == 4
-    assert kinds.count("text/markdown") == 8
+    assert kinds.count("image/jpeg") == len(list(PICTURES.glob("*.png"))) == 2
+    assert kinds.count("text/markdown") == 9
     assert not any(o.output_type == "error" or o.get("name") == "stderr" for o in outputs)
     assert NOTEBOOK.stat().st_size < 1_000_000
 
