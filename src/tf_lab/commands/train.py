@@ -138,7 +138,6 @@ def train(config: TrainConfig) -> Path:
     checkpoint = directory / "model.safetensors"
     with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
-            _check_size(config)
             (_train if config.optimizer.steps else _take)(config, directory, checkpoint)
         elif not is_helper():
             print_reuse("training", directory)
@@ -149,6 +148,7 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     L.seed_everything(config.seed, verbose=False)
     t, optimizer = config.training, config.optimizer
     network, source = make_network(config), open_source(config.data, config.content)
+    _check_size(config)  # once the network is known to fit
     if config.trainer.compile:
         network.compile_parts()
     module = Training(
@@ -195,6 +195,7 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         raise TFLabError("optimizer.steps=0: tests the weights that init= names; give init=")
     _start(config, directory)
     network = make_network(config)
+    _check_size(config)
     if not is_helper():
         sessions = TrainingSessions()
         write_config(config, directory / "config.yaml")
