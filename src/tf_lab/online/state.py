@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -14,6 +15,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.frames import Frames, check_camera
@@ -23,6 +25,7 @@ from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
 from tf_lab.support.records import record
+from tf_lab.support.settings import absent_values
 
 FORMAT = 2
 COLUMNS = ("frames", "logits", "seen")
@@ -123,12 +126,15 @@ def _restore(level: Level, tensors: Mapping[str, Tensor], frames: int) -> None:
 
 def _described(config: NetworkConfig) -> str:
     """Its settings, without those that came later and mean what was before."""
-    said = [
-        f"{field.name}={getattr(config, field.name)!r}"
-        for field in fields(config)
-        if getattr(config, field.name) is not field.metadata.get("absent", MISSING)
-    ]
+    kind = ENCODERS[config.encoder.get("name", "resnet")].settings
+    values = {field.name: getattr(config, field.name) for field in fields(config)}
+    values["encoder"] = _without(config.encoder, absent_values(kind))
+    said = [f"{k}={v!r}" for k, v in _without(values, absent_values(type(config))).items()]
     return f"{type(config).__name__}({', '.join(said)})"
+
+
+def _without(values: Mapping[str, Any], absent: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: value for k, value in values.items() if k not in absent or value != absent[k]}
 
 
 def fingerprint(network: Network) -> str:
