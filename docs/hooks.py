@@ -27,7 +27,7 @@ PAGES = {
 }
 COMMANDS = (
     *("train", "prepare", "reconstruct", "check", "evaluate", "report", "runs", "pretrain"),
-    *("view", "figures", "benchmark"),
+    *("pretrain_stereo", "view", "figures", "benchmark"),
 )
 SETTINGS = """# Settings
 

@@ -18,6 +18,7 @@ COMMANDS = (
     "view",
     "train",
     "pretrain",
+    "pretrain_stereo",
     "prepare",
     "evaluate",
     "report",

@@ -29,7 +29,7 @@ from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.support.files import atomic_path, check_file
 from tf_lab.support.settings import shaping
-from tf_lab.training.datamodule import PairDataModule
+from tf_lab.training.datamodule import StreamDataModule
 from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock
 from tf_lab.training.initial import with_encoder_digest
 from tf_lab.training.matching import Matching
@@ -64,9 +64,9 @@ def run(config: PretrainConfig) -> None:
     def pairs(first_step: int) -> PairStream:
         return PairStream(splits["train"], settings, config.seed, first_step, config.augment)
 
-    def data() -> PairDataModule:
+    def data() -> StreamDataModule[PairBatch]:
         val = [validation_pairs(scenes, config) for scenes in validated.values()]
-        return PairDataModule(pairs, val, config.trainer.workers)
+        return StreamDataModule(pairs, val, config.trainer.workers)
 
     directory, every = output.with_suffix(""), config.validate_every
     with rank_zero_lock(directory, "pre-training"):

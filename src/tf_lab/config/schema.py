@@ -154,6 +154,39 @@ class PretrainConfig:
 
 
 @dataclass(frozen=True)
+class PretrainStereoConfig:
+    """python -m tf_lab.pretrain_stereo"""
+
+    data: Any = MISSING
+    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    seed: int = setting(0, "of weights and frames", shapes="weights", least=0, most=MOST_SEED)
+    steps: int = setting(3000, "in all", shapes="weights", least=1)
+    lr: float = setting(
+        1.5e-3,
+        "peak learning rate; 50 steps of warm-up, then cosine to 0",
+        shapes="weights",
+        least=0,
+    )
+    frames: int = setting(8, "a step", shapes="weights", least=1)
+    camera_noise: CameraNoise = setting(
+        CameraNoise(translation=0.01, rotation=0.5, focal=0.01),
+        "a random share of it (0..1) a frame: cameras as wrong as real ones",
+    )
+    augment: PhotometricSettings = setting(
+        PhotometricSettings(exposure=0.5, blur=1.0, motion=3.0, noise=0.03, gamma=0.2, jpeg=50)
+    )
+    real: str | None = setting(
+        None, "a capture with depth: scored beside the val split, never trained on", kind="path"
+    )
+    validate_every: int = setting(500, "steps", least=1)
+    output: str = setting(
+        "outputs/stereo/stereo.safetensors",
+        "what takes the place of src/tf_lab/weights/stereo.safetensors",
+        kind="path",
+    )
+
+
+@dataclass(frozen=True)
 class PrepareConfig:
     """python -m tf_lab.prepare"""
 
@@ -399,6 +432,7 @@ class BenchmarkConfig(NetworkSettings):
 COMMANDS: dict[str, type] = {
     "train": TrainConfig,
     "pretrain": PretrainConfig,
+    "pretrain_stereo": PretrainStereoConfig,
     "prepare": PrepareConfig,
     "reconstruct": ReconstructConfig,
     "check": CheckConfig,

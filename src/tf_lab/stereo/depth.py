@@ -11,11 +11,11 @@ import torch
 
 from tf_lab.geometry import scale_intrinsics
 from tf_lab.stereo.cost import View, sweep
-from tf_lab.stereo.smoothing import aggregate
+from tf_lab.stereo.regularizer import read_depth, shipped_regularizer
 from tf_lab.stereo.sources import choose_sources
 
-VERSION = 1  # changes whenever the depth of the same frames does
-CHANNELS = 2  # of a depth map: metres (0: unknown), and the ZNCC there
+VERSION = 2  # changes whenever the depth of the same frames does
+CHANNELS = 2  # of a depth map: metres (0: unknown), and how sure that is, 0..1
 
 
 @dataclass(frozen=True)
@@ -29,19 +29,21 @@ class StereoSettings:
             pixel.
         baseline: see `choose_sources`.
         window: of the correlation, pixels.
-        small, large: see `aggregate`.
     """
 
     width: int = 80
     planes: int = 48
     near: float = 0.4
     far: float = 5.0
-    sources: int = 6
+    sources: int = 10
     best: int = 3
     baseline: tuple[float, float, float] = (0.05, 0.8, 0.25)
     window: int = 5
-    small: float = 0.2
-    large: float = 1.2
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Inverse depths [P] of the planes, 1 / metres, from far to near."""
+        return np.linspace(1 / self.far, 1 / self.near, self.planes)
 
 
 SETTINGS = StereoSettings()
@@ -80,35 +82,24 @@ def depth_of(views: Sequence[View], i: int, settings: StereoSettings = SETTINGS)
     """Depth of view i by those before it.
 
     Returns:
-        float32 [2, h, w]: metres, and the ZNCC there; zero throughout if no view can be compared.
+        float32 [2, h, w]: metres, and how sure that is (0..1); zero throughout if no view can be
+        compared.
     """
     poses = np.stack([view.world_T_cam for view in views[: i + 1]])
     sources = choose_sources(poses, i, settings.sources, settings.baseline)
     return stereo_depth(views[i], [views[j] for j in sources], settings)
 
 
+def scores_of(view: View, sources: Sequence[View], settings: StereoSettings) -> np.ndarray:
+    """How well a view matches others of its size at each plane, float32 [P, h, w] in -1..1."""
+    return sweep(view, sources, settings.inverse, settings.window, settings.best)
+
+
 def stereo_depth(view: View, sources: Sequence[View], settings: StereoSettings) -> np.ndarray:
     """Depth of a view by others of its size; see `depth_of`."""
-    s = settings
     if not sources:
         return np.zeros((CHANNELS, *view.grey.shape), np.float32)
-    inverse = np.linspace(1 / s.far, 1 / s.near, s.planes)
-    scores = sweep(view, sources, inverse, s.window, s.best)
-    costs = aggregate(1 - scores, view.grey, s.small, s.large)
-    plane = costs.argmin(0)
-    score = np.take_along_axis(scores, plane[None], 0)[0]
-    return np.stack([1 / _between(costs, plane, inverse), score]).astype(np.float32)
-
-
-def _between(costs: np.ndarray, plane: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Inverse depth [H, W] in the valley of a parabola through the best plane and its neighbours.
-
-    There is none at the first and the last plane.
-    """
-    inner = plane.clip(1, len(inverse) - 2)
-    left, middle, right = (
-        np.take_along_axis(costs, (inner + step)[None], 0)[0] for step in (-1, 0, 1)
-    )
-    offset = 0.5 * (left - right) / np.maximum(left - 2 * middle + right, 1e-6)
-    offset = np.where(inner == plane, offset.clip(-0.5, 0.5), 0)
-    return inverse[plane] + offset * (inverse[1] - inverse[0])
+    scores = torch.from_numpy(scores_of(view, sources, settings))[None]
+    with torch.inference_mode():
+        maps = read_depth(shipped_regularizer()(scores), torch.from_numpy(settings.inverse).float())
+    return torch.cat(maps).numpy()

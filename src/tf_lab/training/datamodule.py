@@ -1,16 +1,18 @@
-"""The DataModules: endless streams to train on, scenes or pairs for validation."""
+"""The DataModules: endless streams to train on, scenes or batches for validation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import lightning as L
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, IterableDataset
 
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
-from tf_lab.data.pairs import PairBatch, PairStream
 from tf_lab.training.evaluation import scene_loader
+
+T = TypeVar("T")
 
 
 def batches_done(trainer: L.Trainer) -> int:
@@ -51,8 +53,8 @@ class SceneDataModule(L.LightningDataModule):
         return scene_loader(self.val, self.trainer)
 
 
-class PairDataModule(L.LightningDataModule):
-    """Pairs of images to train on, and fixed ones for validation.
+class StreamDataModule(L.LightningDataModule, Generic[T]):
+    """A stream of batches to train on, and fixed ones for validation.
 
     Args:
         train: the batches from a step on.
@@ -62,18 +64,18 @@ class PairDataModule(L.LightningDataModule):
 
     def __init__(
         self,
-        train: Callable[[int], PairStream],
-        val: Sequence[Sequence[PairBatch]],
+        train: Callable[[int], IterableDataset[T]],
+        val: Sequence[Sequence[T]],
         workers: int,
     ) -> None:
         super().__init__()
         self.train, self.val, self.workers = train, val, workers
 
-    def train_dataloader(self) -> DataLoader[PairBatch]:
+    def train_dataloader(self) -> DataLoader[T]:
         """Batches from the trainer's current step on, so that a resumed run goes on with them."""
         step = batches_done(self.trainer) if self.trainer is not None else 0
         return DataLoader(self.train(step), batch_size=None, num_workers=self.workers)
 
-    def val_dataloader(self) -> list[DataLoader[PairBatch]]:
+    def val_dataloader(self) -> list[DataLoader[T]]:
         """A loader for every set."""
-        return [DataLoader(list(pairs), batch_size=None) for pairs in self.val]  # type: ignore[arg-type]
+        return [DataLoader(list(batches), batch_size=None) for batches in self.val]  # type: ignore[arg-type]
