@@ -1,11 +1,10 @@
-"""Plane-sweep scores, smoothing and the choice of sources: against loops over their definitions."""
+"""Plane-sweep scores and the choice of sources: against loops over their definitions."""
 
 import numpy as np
 import pytest
 import torch
 
 from tf_lab.stereo.cost import View, sweep
-from tf_lab.stereo.smoothing import EDGE, aggregate
 from tf_lab.stereo.sources import choose_sources
 
 K = np.array([[20.0, 0, 11.5], [0, 20.0, 8.5], [0, 0, 1]])
@@ -86,48 +85,6 @@ def test_many_planes_are_more_rows_than_opencv_takes_at_once() -> None:
     inverse = np.linspace(0.2, 1.0, 2000)  # 36,000 rows
     some = sweep(view, [source], inverse[-3:], 3, 1)
     np.testing.assert_array_equal(sweep(view, [source], inverse, 3, 1)[-3:], some)
-
-
-def best_path(costs: np.ndarray, grey: np.ndarray, small: float, large: float) -> np.ndarray:
-    """Semi-global matching's recursion along one line, costs [N, P]: plane by plane."""
-    total = [costs[0].copy()]
-    for n in range(1, len(costs)):
-        before = total[-1]
-        jump = max(large / (1 + EDGE * abs(grey[n] - grey[n - 1])), small)
-        row = np.empty_like(before)
-        for p in range(len(before)):
-            ways = [before[p], before.min() + jump]
-            ways += [before[q] + small for q in (p - 1, p + 1) if 0 <= q < len(before)]
-            row[p] = costs[n, p] + min(ways) - before.min()
-        total.append(row)
-    return np.array(total)
-
-
-def test_costs_are_summed_over_the_best_paths_from_four_sides() -> None:
-    rng = np.random.default_rng(0)
-    costs, grey = rng.random((5, 6, 7)), rng.random((6, 7))
-    expected = np.zeros_like(costs)
-    for y in range(6):
-        line = best_path(costs[:, y].T, grey[y], 0.1, 0.6)
-        back = best_path(costs[:, y, ::-1].T, grey[y, ::-1], 0.1, 0.6)[::-1]
-        expected[:, y] += (line + back).T
-    for x in range(7):
-        line = best_path(costs[:, :, x].T, grey[:, x], 0.1, 0.6)
-        back = best_path(costs[:, ::-1, x].T, grey[::-1, x], 0.1, 0.6)[::-1]
-        expected[:, :, x] += (line + back).T
-    found = aggregate(costs.astype(np.float32), grey.astype(np.float32), 0.1, 0.6)
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
-
-
-def test_a_wrong_pixel_is_outvoted_but_a_step_at_an_edge_stays() -> None:
-    planes, grey = np.zeros((9, 12), int), np.zeros((9, 12), np.float32)
-    planes[:, 6:], grey[:, 6:] = 4, 1
-    planes[4, 3] = 2
-    costs = np.ones((6, 9, 12), np.float32)
-    np.put_along_axis(costs, planes[None], 0, axis=0)
-    found = aggregate(costs, grey, 0.5, 2.0).argmin(0)
-    planes[4, 3] = 0
-    np.testing.assert_array_equal(found, planes)
 
 
 def test_sources_have_a_fair_baseline_and_look_the_same_way() -> None:

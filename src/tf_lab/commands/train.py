@@ -24,6 +24,7 @@ from tf_lab.experiments.launcher import SweepJobs
 from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
+from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.files import check_folder, write_json
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
@@ -84,6 +85,8 @@ def identified(config: TrainConfig) -> TrainConfig:
         TFLabError: the shards cannot be opened, the scenes not be made, or a file not be read.
     """
     content = with_initial_digests(config, open_source(config.data).content())
+    if config.inputs.stereo:
+        content = replace(content, stereo=stereo_identity())
     trainer = config.trainer
     if trainer.devices in ("auto", -1, "-1"):
         gpus = torch.cuda.device_count() if trainer.accelerator != "cpu" else 0

@@ -20,7 +20,7 @@ from tf_lab.data.camera_noise import disturb_cameras, share_of
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import CameraNoise
 from tf_lab.errors import TFLabError
-from tf_lab.stereo.depth import CHANNELS, SETTINGS, VERSION, small_view, stereo_depth
+from tf_lab.stereo.depth import CHANNELS, SETTINGS, small_view, stereo_depth, stereo_identity
 from tf_lab.stereo.sources import choose_sources
 from tf_lab.support.arrays import read_array
 from tf_lab.support.files import atomic_path, remove_abandoned
@@ -52,7 +52,7 @@ def prepare_stereo(scenes: Sequence[Path], noise: CameraNoise, workers: int | No
 
 def stereo_path(scene: Path, noise: CameraNoise) -> Path:
     """Where the maps of a scene lie."""
-    identity = json.dumps([VERSION, asdict(SETTINGS), asdict(noise)])
+    identity = json.dumps([stereo_identity(), asdict(noise)])
     return scene / f"stereo-{hashlib.sha256(identity.encode()).hexdigest()[:10]}.npy"
 
 

@@ -22,6 +22,7 @@ from tf_lab.online.frames import Frames, check_camera
 from tf_lab.online.lattice.blocks import HALF
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
 from tf_lab.support.records import record
@@ -140,6 +141,8 @@ def _without(values: Mapping[str, Any], absent: Mapping[str, Any]) -> dict[str, 
 def fingerprint(network: Network) -> str:
     """Tells networks with other weights apart."""
     digest = hashlib.sha256(_described(network.config).encode())
+    if network.config.stereo:  # depth is not saved, and has to be found again
+        digest.update(stereo_identity().encode())
     for name, tensor in sorted(network.state_dict().items()):
         digest.update(name.encode())
         digest.update(tensor.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy())

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import cv2
 import numpy as np
@@ -11,7 +14,7 @@ import torch
 
 from tf_lab.geometry import scale_intrinsics
 from tf_lab.stereo.cost import View, sweep
-from tf_lab.stereo.regularizer import read_depth, shipped_regularizer
+from tf_lab.stereo.regularizer import SHIPPED, read_depth, shipped_regularizer
 from tf_lab.stereo.sources import choose_sources
 
 VERSION = 2  # changes whenever the depth of the same frames does
@@ -47,6 +50,14 @@ class StereoSettings:
 
 
 SETTINGS = StereoSettings()
+
+
+@functools.cache
+def stereo_identity() -> str:
+    """Of all that shapes a depth map: the code's version, the settings and the weights."""
+    digest = hashlib.sha256(json.dumps([VERSION, asdict(SETTINGS)]).encode())
+    digest.update(SHIPPED.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 class DepthSequence:

@@ -27,6 +27,12 @@ class Content:
     shards: str | None = setting(None, "digest of the shards", shapes="weights")
     init: str | None = setting(None, "digest of what training starts from", shapes="weights")
     encoder: str | None = setting(None, "digest of the encoder's first weights", shapes="weights")
+    stereo: str | None = setting(
+        None,
+        "digest of what finds depth by stereo, if that is an input",
+        shapes="weights",
+        absent=None,
+    )
     scenes: dict[str, dict[str, str]] = setting(
         {}, "digests of captures' scenes, by split and name"
     )

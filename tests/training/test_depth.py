@@ -1,0 +1,63 @@
+"""The loss of what reads depth from stereo's scores: against its definition, pixel by pixel."""
+
+import math
+
+import pytest
+import torch
+
+from tf_lab.data.sweeps import SweepBatch
+from tf_lab.stereo.depth import StereoSettings
+from tf_lab.stereo.regularizer import Regularizer
+from tf_lab.training.depth import DISTANCE_WEIGHT, DepthTraining, depth_loss
+
+FEW = StereoSettings(planes=8)
+
+
+def by_hand(logits: torch.Tensor, depth: torch.Tensor) -> float:
+    """Pixel by pixel."""
+    inverse, terms = FEW.inverse, []
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            z = float(depth[y, x])
+            if not FEW.near < z < FEW.far:
+                continue
+            likely = logits[:, y, x].softmax(0).tolist()
+            upper = next(i for i, value in enumerate(inverse) if value >= 1 / z)
+            share = (1 / z - inverse[upper - 1]) / (inverse[upper] - inverse[upper - 1])
+            entropy = -(1 - share) * math.log(likely[upper - 1]) - share * math.log(likely[upper])
+            mean = sum(p * math.log(1 / value) for p, value in zip(likely, inverse, strict=True))
+            terms.append(entropy + DISTANCE_WEIGHT * abs(mean - math.log(z)))
+    return sum(terms) / len(terms)
+
+
+def test_it_is_cross_entropy_and_distance_where_depth_is_known() -> None:
+    torch.manual_seed(0)
+    logits, depth = torch.randn(8, 3, 4), 0.45 + 4.5 * torch.rand(3, 4)
+    depth[0] = torch.tensor([0.0, 0.2, 7.0, 1.0])  # unknown, too near, too far
+    found = depth_loss(logits[None], depth[None], FEW)
+    assert found.item() == pytest.approx(by_hand(logits, depth), rel=1e-4)
+
+
+def test_where_nothing_is_known_there_is_nothing_to_learn() -> None:
+    logits = torch.randn(1, 8, 3, 4, requires_grad=True)
+    loss = depth_loss(logits, torch.zeros(1, 3, 4), FEW)
+    loss.backward()
+    assert logits.grad is not None
+    assert loss.item() == 0 and (logits.grad == 0).all()
+
+
+def test_one_batch_can_be_learnt_by_heart() -> None:
+    """Scores of pure noise and a wall that slants: what it says approaches the truth."""
+    torch.manual_seed(0)
+    wall = torch.linspace(1.0, 2.0, 16).expand(1, 12, 16)
+    batch = SweepBatch(torch.rand(1, 8, 12, 16), wall)
+    module = DepthTraining(Regularizer(), FEW, 3e-3, 60, ["val"])
+    adam = torch.optim.Adam(module.parameters(), 3e-3)
+    losses = []
+    for _ in range(60):
+        loss = depth_loss(module.regularizer(batch.scores), batch.depth, FEW)
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.4 * losses[0]
