@@ -15,9 +15,9 @@ def sequence(tilt: float = 0.0, width: int = 80, count: int = 4) -> list[np.ndar
     return [depths.add(*frame(0.12 * i, tilt, width)) for i in range(count)]
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.5])
-def test_depth_of_a_wall(tilt: float) -> None:
-    """Within 3 % where sources see it; the scores there are high."""
+@pytest.mark.parametrize(("tilt", "most"), [(0.0, 0.01), (0.5, 0.015)])
+def test_depth_of_a_wall(tilt: float, most: float) -> None:
+    """Within 3 % where sources see it, the step of a plane being 10 %; and sure of it."""
     depth, score = sequence(tilt)[-1]
     truth = wall_depth(0.36, tilt, 80)
     inner = (
@@ -25,7 +25,7 @@ def test_depth_of_a_wall(tilt: float) -> None:
         slice(5, -20),
     )  # the sources stand to the left, and see less of the right
     error = np.abs(depth - truth)[inner] / truth[inner]
-    assert np.median(error) < 0.01 and np.mean(error < 0.03) > 0.95
+    assert np.median(error) < most and np.mean(error < 0.03) > 0.95
     assert np.median(score[inner]) > 0.8
 
 
