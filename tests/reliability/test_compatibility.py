@@ -4,6 +4,7 @@ The numbers are those that the version gave that wrote the files. A format that 
 another number, and its files a line that says so, instead of other results.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,9 @@ import torch
 
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import read_records
+from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network
+from tf_lab.network.network import Network
 from tf_lab.online import Reconstructor
 from tf_lab.reporting.results import read_run
 
@@ -36,6 +39,15 @@ def test_a_saved_reconstruction() -> None:
     assert len(mesh.faces) == pytest.approx(37, abs=3)  # random weights: rounding moves a few
     lower, upper = [0.35, -0.7986, 0.35], [2.05, 0.85, 0.8097]
     assert mesh.bounds.ravel().tolist() == pytest.approx([*lower, *upper], abs=0.1)
+
+
+def test_a_saved_reconstruction_of_an_encoder_that_looks_elsewhere() -> None:
+    """Its maps are others, although its weights are the same."""
+    old, _ = load_network(FIXTURES / "model.safetensors")
+    new = Network(replace(old.config, encoder={**old.config.encoder, "centered": True}))
+    new.load_state_dict(old.state_dict())
+    with pytest.raises(TFLabError, match=r"reconstruction\.safetensors: made with another network"):
+        Reconstructor.load(FIXTURES / "reconstruction.safetensors", new.eval())
 
 
 def test_a_run() -> None:
