@@ -1,6 +1,7 @@
 """What is saved comes back exactly; what is no checkpoint is told in one line."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -185,6 +186,14 @@ def test_a_missing_checkpoint(tmp_path: Path) -> None:
     for path in (tmp_path / "none.safetensors", tmp_path):
         with pytest.raises(TFLabError, match="no such checkpoint; train one with"):
             load_network(path)
+
+
+def test_the_folder_of_a_training(tmp_path: Path) -> None:
+    """Is taken for the checkpoint in it, as `init` takes it."""
+    shutil.copy(shipped_checkpoint(), tmp_path / "model.safetensors")
+    network, _ = load_network(tmp_path)
+    named, _ = load_network(shipped_checkpoint())
+    assert all(map(torch.equal, network.state_dict().values(), named.state_dict().values()))
 
 
 def test_where_shipped_files_lie() -> None:

@@ -26,6 +26,7 @@ from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.files import check_folder, write_json
+from tf_lab.support.headers import WEIGHTS
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
@@ -101,7 +102,7 @@ def finished(config: TrainConfig) -> Path | None:
     if read_metrics(run) is not None:
         return run
     tested = open_source(config.data, config.content).has("test")
-    return None if tested or not (training / "model.safetensors").exists() else training
+    return None if tested or not (training / WEIGHTS).exists() else training
 
 
 JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
@@ -138,7 +139,7 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
 def train(config: TrainConfig) -> Path:
     """The checkpoint of the config's training: found, resumed or trained from the start."""
     directory = training_directory(config)
-    checkpoint = directory / "model.safetensors"
+    checkpoint = directory / WEIGHTS
     with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
             (_train if config.optimizer.steps else _take)(config, directory, checkpoint)

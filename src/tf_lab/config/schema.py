@@ -234,7 +234,7 @@ class CaptureConfig(InferenceSettings, ReadSettings):
     )
     checkpoint: str | None = setting(
         None,
-        "model.safetensors of a training run; null: the one that comes with tf_lab",
+        "a training's folder or its model.safetensors; null: the one that comes with tf_lab",
         kind="path",
     )
     check: bool = setting(
@@ -276,7 +276,7 @@ class ViewConfig(CaptureConfig):
 
     checkpoint: Any = setting(
         None,
-        "model.safetensors of a training run, or a list of such side by side; null: the one that "
+        "a training's folder or its model.safetensors, or a list side by side; null: the one that "
         "comes with tf_lab",
         kind="path",
         several=True,

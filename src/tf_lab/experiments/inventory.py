@@ -14,6 +14,7 @@ from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.identity import row_label
 from tf_lab.experiments.provenance import Origin
 from tf_lab.experiments.reuse import origin_of, sessions_of
+from tf_lab.support.headers import WEIGHTS
 from tf_lab.support.locks import lock_holder
 from tf_lab.support.records import record
 
@@ -79,7 +80,7 @@ def _training(directory: Path) -> Entry:
     origin: Origin = {}
     last = directory / "last.ckpt"
     try:
-        if (directory / "model.safetensors").exists():
+        if (directory / WEIGHTS).exists():
             state, origin = "finished", origin_of(directory)
         else:
             state, origin = UNFINISHED, _begun(directory, problems)

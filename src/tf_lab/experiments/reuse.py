@@ -13,7 +13,7 @@ from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of, training_identity
 from tf_lab.experiments.provenance import Origin, code_version, commit
-from tf_lab.support.headers import read_info
+from tf_lab.support.headers import WEIGHTS, read_info
 from tf_lab.support.records import read_record, record
 
 
@@ -23,7 +23,7 @@ def origin_of(directory: Path) -> Origin:
     Raises:
         TFLabError: it is missing or damaged.
     """
-    checkpoint, run = directory / "model.safetensors", directory / "run.json"
+    checkpoint, run = directory / WEIGHTS, directory / "run.json"
     cure = f"to make it anew: {removal(directory)}"
     if not checkpoint.exists():
         return read_record(Origin, run, cure)

@@ -18,7 +18,7 @@ from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
-from tf_lab.support.headers import read_header
+from tf_lab.support.headers import WEIGHTS, read_header
 from tf_lab.support.records import record
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
@@ -32,12 +32,21 @@ def save_network(network: Network, path: Path, info: dict[str, Any]) -> None:
         save_file(state, temporary, metadata)
 
 
+def checkpoint_file(path: Path) -> Path:
+    """The checkpoint of a training's folder; any other path is one itself."""
+    return path / WEIGHTS if path.is_dir() else path
+
+
 def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
+
+    Args:
+        path: of the file, or of the folder of the training that wrote it.
 
     Raises:
         TFLabError: the file is missing, not a checkpoint, of another network, or not finite.
     """
+    path = checkpoint_file(path)
     if not path.is_file():
         raise TFLabError(f"{path}: no such checkpoint; train one with `python -m tf_lab.train`")
     metadata = read_header(path)

@@ -11,6 +11,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.support.documents import parse_json
 from tf_lab.support.records import record
 
+WEIGHTS = "model.safetensors"  # of a finished training
+
 
 def read_header(path: Path) -> dict[str, str]:
     """The texts that a checkpoint was saved with, by name.
@@ -23,7 +25,7 @@ def read_header(path: Path) -> dict[str, str]:
             return file.metadata() or {}
     except (SafetensorError, OSError) as error:
         raise TFLabError(
-            f"{path}: not a checkpoint of tf_lab; expected model.safetensors of a training run"
+            f"{path}: not a checkpoint of tf_lab; expected {WEIGHTS} of a training run"
         ) from error
 
 

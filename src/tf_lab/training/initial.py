@@ -22,7 +22,7 @@ from tf_lab.config.build import build_network, initialise_encoder
 from tf_lab.config.schema import TrainConfig
 from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
-from tf_lab.network.checkpoint import load_network, shipped_checkpoint
+from tf_lab.network.checkpoint import checkpoint_file, load_network, shipped_checkpoint
 from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.weights import read_state_dict
 from tf_lab.network.network import Network
@@ -30,7 +30,6 @@ from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.state import read_state
 
 SHIPPED = "shipped"
-WEIGHTS = "model.safetensors"  # of a finished training
 SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=stereo"  # that it was trained with
 BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
 # inputs that say nothing before they are trained: weights without them are trained on with them
@@ -54,7 +53,7 @@ def initial_path(config: TrainConfig) -> Path | None:
     if not config.init:
         return None
     path = shipped_checkpoint() if config.init == SHIPPED else Path(config.init)
-    return path / WEIGHTS if path.is_dir() else path
+    return checkpoint_file(path)
 
 
 def with_initial_digests(config: TrainConfig, content: Content) -> Content:
