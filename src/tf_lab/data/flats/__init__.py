@@ -12,10 +12,12 @@ from tf_lab.data.flats.phone import Filming, Phone, make_phone, motion_at, pass_
 from tf_lab.data.flats.plan import FlatPlan, make_flat_plan
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.arrange import THEMES, hang_lamp
+from tf_lab.data.rooms.catalogue import Catalogue
 from tf_lab.data.rooms.decor import Kit
 from tf_lab.data.rooms.footprint import FreeSpace, Placed
 from tf_lab.data.rooms.layout import Plan, build_shell
 from tf_lab.data.rooms.materials import Textures, make_materials
+from tf_lab.data.rooms.models import furniture_of
 from tf_lab.data.rooms.render import Lighting, Renderer, make_lighting
 from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import Habits, make_walk
@@ -44,18 +46,19 @@ class Flat:
         return FreeSpace(self.plan.floor, self.placed, passages)
 
 
-def make_flat(seed: int) -> Flat:
-    """The flat of a seed."""
+def make_flat(seed: int, catalogue: Catalogue | None = None) -> Flat:
+    """The flat of a seed; models of a catalogue stand in for some of its furniture."""
     rng = np.random.default_rng([seed, 2])
     plan = make_flat_plan(rng)
     palettes, textures = make_materials(rng, len(plan.rooms))
     surfaces = Surfaces(rng)
+    furniture = furniture_of(catalogue, textures, seed)
     themes = rng.permutation(list(THEMES))
     placed: list[Placed] = []
     lighting = []
     for number, room in enumerate(plan.rooms):
         surfaces.room = number
-        kit = Kit(surfaces, palettes[number], rng)
+        kit = Kit(surfaces, palettes[number], rng, furniture=furniture)
         build_shell(surfaces, room, palettes[number], rng)
         stands = furnish_room(kit, plan, number, str(themes[number]))
         lighting.append(_light(room, stands, rng))
@@ -75,9 +78,11 @@ def _light(room: Plan, placed: list[Placed], rng: np.random.Generator) -> Lighti
     return lighting
 
 
-def generate_flat(seed: int, settings: RoomSettings) -> Iterator[Frame]:
-    """Film the flat of a seed: the same seed and settings give the same frames."""
-    flat = make_flat(seed)
+def generate_flat(
+    seed: int, settings: RoomSettings, catalogue: Catalogue | None = None
+) -> Iterator[Frame]:
+    """Film the flat of a seed: the same seed, settings and catalogue give the same frames."""
+    flat = make_flat(seed, catalogue)
     frames = settings.frames * len(flat.plan.rooms)
     rng = np.random.default_rng([seed, 3])
     phone = make_phone(rng)

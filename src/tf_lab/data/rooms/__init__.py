@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tf_lab.data.rooms.arrange import furnish, hang_lamp
+from tf_lab.data.rooms.catalogue import Catalogue
 from tf_lab.data.rooms.decor import Kit
 from tf_lab.data.rooms.footprint import FreeSpace, Placed
 from tf_lab.data.rooms.layout import Plan, build_shell, make_plan
 from tf_lab.data.rooms.materials import Textures, make_materials
+from tf_lab.data.rooms.models import furniture_of
 from tf_lab.data.rooms.render import Lighting, Renderer, make_lighting
 from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import make_walk
@@ -51,11 +53,11 @@ class Room:
     lighting: Lighting
 
 
-def make_room(seed: int) -> Room:
-    """The room of a seed."""
+def make_room(seed: int, catalogue: Catalogue | None = None) -> Room:
+    """The room of a seed; models of a catalogue stand in for some of its furniture."""
     rng = np.random.default_rng([seed, 0])
     (palette,), textures = make_materials(rng)
-    kit = Kit(Surfaces(rng), palette, rng)
+    kit = Kit(Surfaces(rng), palette, rng, furniture=furniture_of(catalogue, textures, seed))
     plan = make_plan(rng)
     build_shell(kit.s, plan, palette, rng)
     placed = furnish(kit, plan)
@@ -71,9 +73,11 @@ def intrinsics(settings: RoomSettings) -> np.ndarray:
     return np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
 
 
-def generate_room(seed: int, settings: RoomSettings) -> Iterator[Frame]:
-    """Film the room of a seed: the same seed and settings give the same frames."""
-    room = make_room(seed)
+def generate_room(
+    seed: int, settings: RoomSettings, catalogue: Catalogue | None = None
+) -> Iterator[Frame]:
+    """Film the room of a seed: the same seed, settings and catalogue give the same frames."""
+    room = make_room(seed, catalogue)
     K = intrinsics(settings)
     size = settings.width, settings.height
     renderer = Renderer(room.geometry, room.textures, [room.lighting], K, size, settings.samples)

@@ -55,6 +55,11 @@ class Arranger:
         floor = FreeSpace(plan, []).walkable(0.4).sum()
         self._least = max(0.28 * floor, 360)
 
+    def made(self, maker: Maker) -> Piece:
+        """A piece, or a model that stands in for it."""
+        piece = maker(self._rng)
+        return self._kit.furniture.instead(piece) if self._kit.furniture else piece
+
     def _put(self, piece: Piece, origin: np.ndarray, yaw: float, margin: float = 0.03) -> bool:
         """Build the piece with its back left corner at ``origin``, if it fits."""
         corners = _corners(origin, yaw, 0, 0, piece.width, piece.depth)
@@ -138,11 +143,11 @@ class Arranger:
         elif piece.name == "bed":
             for side in (-0.5, w + 0.03):
                 if rng.random() < 0.8:
-                    stand = st.nightstand(rng)
+                    stand = self.made(st.nightstand)
                     x = -stand.width - 0.04 if side < 0 else side
                     self._put(stand, _point(origin, yaw, x, 0.0), yaw, 0.01)
         elif piece.name == "sofa":
-            low = f.coffee_table(rng) if rng.random() < 0.8 else f.pouf(rng)
+            low = self.made(f.coffee_table if rng.random() < 0.8 else f.pouf)
             self.before(low, origin, yaw, w / 2, d + rng.uniform(0.3, 0.5))
             self.rug(_point(origin, yaw, w / 2, d + 0.45), yaw)
 
@@ -159,7 +164,7 @@ class Arranger:
             for spot in spots:
                 if rng.random() < 0.85:
                     gap = away + rng.uniform(0.06, 0.22)
-                    self.before(f.chair(rng), start, turn, spot * along, gap)
+                    self.before(self.made(f.chair), start, turn, spot * along, gap)
 
     def rug(self, centre: np.ndarray, yaw: float) -> None:
         """A rug around ``centre`` (one a room: rugs would lie in each other)."""
@@ -235,11 +240,11 @@ def furnish(
     for piece in dividers:
         arranger.at_wall(piece, beside=0.6)
     for maker in theme or THEMES[str(rng.choice(list(THEMES)))]:
-        arranger.group(maker(rng))
+        arranger.group(arranger.made(maker))
     for _ in range(14):
         if len(arranger.placed) >= 9:
             break
-        arranger.group(FILLERS[rng.integers(len(FILLERS))](rng))
+        arranger.group(arranger.made(FILLERS[rng.integers(len(FILLERS))]))
     arranger.radiators()
     arranger.pictures(int(rng.integers(3, 9)))
     if rng.random() < 0.6:

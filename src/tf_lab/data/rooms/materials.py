@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -51,7 +52,20 @@ class Textures:
     """
 
     def __init__(self, images: list[np.ndarray], texels: list[float]) -> None:
-        level = np.stack(images).astype(np.float32)
+        self._images = [image.astype(np.float32) for image in images]
+        self._texel = np.asarray(texels)
+
+    def add(self, image: np.ndarray, texel: float) -> int:
+        """The number of one texture more; none is added once there was a lookup."""
+        self._images.append(image.astype(np.float32))
+        self._texel = np.append(self._texel, texel)
+        return len(self._images) - 1
+
+    @cached_property
+    def _levels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Every level of every texture [N, 3], and where a level begins."""
+        level = np.stack(self._images)
+        self._images = []
         flat, offsets, offset = [], [], 0
         while level.shape[1] >= 8:
             flat.append(level.reshape(-1, 3))
@@ -59,24 +73,23 @@ class Textures:
             offset += len(flat[-1])
             n, s = level.shape[0], level.shape[1] // 2
             level = level.reshape(n, s, 2, s, 2, 3).mean(axis=(2, 4))
-        self._flat = np.concatenate(flat)
-        self._offsets = np.asarray(offsets)
-        self._texel = np.asarray(texels)
+        return np.concatenate(flat), np.asarray(offsets)
 
     def lookup(self, material: np.ndarray, uv: np.ndarray, footprint: np.ndarray) -> np.ndarray:
         """Colours [N, 3] of materials [N] at uv [N, 2] (m), averaged over ``footprint`` [N] (m)."""
+        flat, offsets = self._levels
         texel = self._texel[material]
         level = np.log2(np.maximum(footprint / texel, 1e-6)) + 0.3
-        level = np.clip(level, 0, len(self._offsets) - 1).astype(np.int64)
+        level = np.clip(level, 0, len(offsets) - 1).astype(np.int64)
         size = SIZE >> level
         xy = uv / (texel * (1 << level))[:, None] - 0.5
         corner = np.floor(xy)
         fx, fy = (xy - corner).astype(np.float32).T[..., None]
         x0, y0 = corner.astype(np.int64).T & (size - 1)
         x1, y1 = (x0 + 1) & (size - 1), (y0 + 1) & (size - 1)
-        base = self._offsets[level] + material * size * size
-        top = self._flat[base + y0 * size + x0] * (1 - fx) + self._flat[base + y0 * size + x1] * fx
-        low = self._flat[base + y1 * size + x0] * (1 - fx) + self._flat[base + y1 * size + x1] * fx
+        base = offsets[level] + material * size * size
+        top = flat[base + y0 * size + x0] * (1 - fx) + flat[base + y0 * size + x1] * fx
+        low = flat[base + y1 * size + x0] * (1 - fx) + flat[base + y1 * size + x1] * fx
         return top * (1 - fy) + low * fy
 
 

@@ -101,7 +101,9 @@ class Renderer:
         normal = g.normals[face]
         view = hits.origin - point
         view /= np.linalg.norm(view, axis=1, keepdims=True)
-        cosine = np.abs(np.einsum("ni,ni->n", view, normal))
+        cosine = np.einsum("ni,ni->n", view, normal)
+        normal[g.thin[face] & (cosine < 0)] *= -1
+        cosine = np.abs(cosine)
         frame = g.uv[face]
         uv = np.einsum("nij,nj->ni", frame[:, :, :3], point) + frame[:, :, 3]
         footprint = depth / self._focal / np.sqrt(np.maximum(cosine, 0.1))

@@ -34,6 +34,7 @@ class RoomGeometry:
         glow: float32 [F], emitted light (0: none).
         uv: float64 [F, 2, 4], maps (x, y, z, 1) to metres on the face.
         room: int32 [F], the room that a triangle belongs to.
+        thin: bool [F], seen from both sides.
     """
 
     vertices: np.ndarray
@@ -45,6 +46,7 @@ class RoomGeometry:
     glow: np.ndarray
     uv: np.ndarray
     room: np.ndarray
+    thin: np.ndarray
 
     def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Points [count, 3] spread evenly over the surface, 1 cm before it."""
@@ -73,7 +75,7 @@ class Surfaces:
         self._rotation, self._offset = np.eye(3), np.zeros(3)
         self._vertices: list[np.ndarray] = []
         self._faces: list[tuple[int, int, int]] = []
-        self._rows: list[tuple[np.ndarray, int, int, Tint, float, np.ndarray, int]] = []
+        self._rows: list[tuple[np.ndarray, int, int, Tint, float, np.ndarray, int, bool]] = []
         self._count = 0
         self._flats = 0
 
@@ -115,10 +117,44 @@ class Surfaces:
         fan = triangles or [(0, i, i + 1) for i in range(1, len(points) - 1)]
         for a, b, c in fan:
             self._faces.append((self._count + a, self._count + b, self._count + c))
-            self._rows.append((normal, self._flats, material, tint, glow, frame, self.room))
+            self._rows.append((normal, self._flats, material, tint, glow, frame, self.room, False))
         self._vertices.append(points)
         self._count += len(points)
         self._flats += 1
+
+    def triangles(
+        self, corners: np.ndarray, material: int, tint: Tint = WHITE, uv: np.ndarray | None = None
+    ) -> None:
+        """Triangles of a model, seen from both sides: corners [F, 3, 3], none without area.
+
+        ``uv`` [F, 3, 2] (m) is where the corners are on the material; without it, it lies on each
+        triangle in its real size.
+        """
+        points = corners @ self._rotation.T + self._offset
+        first, along = points[:, 0], points[:, 1:] - points[:, :1]
+        normals = np.cross(along[:, 0], along[:, 1])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        if uv is None:
+            level = np.abs(normals[:, 2:]) > 0.9
+            u = np.cross(np.where(level, [0, 1.0, 0], [0, 0, 1.0]), normals)
+            u /= np.linalg.norm(u, axis=1, keepdims=True)
+            axes, start = np.stack([u, np.cross(normals, u)], axis=1), 0.0
+        else:
+            edges = np.concatenate([along, normals[:, None]], axis=1)  # along normals uv stays
+            change = np.zeros_like(edges[..., :2])
+            change[:, :2] = uv[:, 1:] - uv[:, :1]
+            axes = np.linalg.solve(edges, change).transpose(0, 2, 1)
+            start = uv[:, 0] - np.einsum("fij,fj->fi", axes, first)
+        frames = np.zeros((len(points), 2, 4))
+        frames[:, :, :3], frames[:, :, 3] = axes, start
+        for k, (normal, frame) in enumerate(zip(normals, frames, strict=True)):
+            a = self._count + 3 * k
+            self._faces.append((a, a + 1, a + 2))
+            flat = self._flats + k
+            self._rows.append((normal, flat, material, tint, 0.0, frame, self.room, True))
+        self._vertices.append(points.reshape(-1, 3))
+        self._count += 3 * len(points)
+        self._flats += len(points)
 
     def box(
         self,
@@ -185,7 +221,7 @@ class Surfaces:
 
     def build(self) -> RoomGeometry:
         """Everything collected so far."""
-        normal, flat, material, tint, glow, frame, room = zip(*self._rows, strict=True)
+        normal, flat, material, tint, glow, frame, room, thin = zip(*self._rows, strict=True)
         return RoomGeometry(
             np.concatenate(self._vertices),
             np.asarray(self._faces, np.int32),
@@ -196,6 +232,7 @@ class Surfaces:
             np.asarray(glow, np.float32),
             np.asarray(frame),
             np.asarray(room, np.int32),
+            np.asarray(thin, bool),
         )
 
 

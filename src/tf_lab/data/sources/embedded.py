@@ -8,26 +8,35 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, TypedDict
 
 from tf_lab.data import flats, groundtruth, rooms, scene
 from tf_lab.data.flats import generate_flat
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
-from tf_lab.data.rooms import RoomSettings, generate_room
+from tf_lab.data.rooms import RoomSettings, generate_room, models
+from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
 from tf_lab.data.scene import Frame, write_scene
 from tf_lab.data.sources.settings import Content, EmbeddedData, FlatsData, RoomsData
 from tf_lab.data.sources.source import DataSource, Prepared
-from tf_lab.support.files import file_name
+from tf_lab.support.files import atomic_path, file_name
 from tf_lab.support.tasks import SceneJob, prepare_scenes
 
+ATTRIBUTION = "ATTRIBUTION.txt"
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
 
 
 @dataclass(frozen=True)
 class EmbeddedSplit:
-    """How many scenes a split has and how they are filmed."""
+    """How many scenes a split has, how they are filmed, and whose models stand in them."""
 
     size: int
     settings: RoomSettings
+    furniture: Catalogue | None = None
+
+
+class _Film(TypedDict):
+    settings: RoomSettings
+    furniture: Catalogue | None
 
 
 @dataclass(frozen=True)
@@ -42,28 +51,44 @@ class EmbeddedSet:
 
     name: str
     version: int
-    generate: Callable[[int, RoomSettings], Iterator[Frame]]
+    generate: Callable[[int, RoomSettings, Catalogue | None], Iterator[Frame]]
 
     def scene_name(self, seed: int) -> str:
         """As in ``room_0000003``."""
         return f"{self.name.removesuffix('s')}_{seed:07d}"
 
-    def directory(self, root: Path, split: str, index: int, settings: RoomSettings) -> Path:
+    def directory(
+        self,
+        root: Path,
+        split: str,
+        index: int,
+        settings: RoomSettings,
+        furniture: Catalogue | None = None,
+    ) -> Path:
         """Where a scene lies: all that shapes it is in the path, so a cache never goes stale."""
-        versions = [self.version, scene.FORMAT, groundtruth.VERSION]
-        identity = json.dumps([*versions, asdict(settings), asdict(GroundTruthSettings())])
+        shaped: list[Any] = [self.version, scene.FORMAT, groundtruth.VERSION]
+        shaped += [asdict(settings), asdict(GroundTruthSettings())]
+        shaped += [] if furniture is None else [models.VERSION, furniture.digest]
+        identity = json.dumps(shaped)
         key = hashlib.sha256(identity.encode()).hexdigest()[:10]
         return root / f"{self.name}-{key}" / split / self.scene_name(FIRST_SEED[split] + index)
 
-    def build(self, directory: Path, seed: int, settings: RoomSettings) -> None:
+    def build(
+        self,
+        directory: Path,
+        seed: int,
+        settings: RoomSettings,
+        furniture: Catalogue | None = None,
+    ) -> None:
         """Render a scene and its ground truth into a directory (see `scene`, `groundtruth`)."""
         provenance = {
             "source": self.name,
             "seed": seed,
             "version": self.version,
             **asdict(settings),
+            **({} if furniture is None else {"furniture": furniture.digest}),
         }
-        frames = self.generate(seed, settings)
+        frames = self.generate(seed, settings, furniture)
         made = write_scene(directory, frames, provenance, name=self.scene_name(seed))
         write_groundtruth(made, made.groundtruth, GroundTruthSettings())
 
@@ -80,13 +105,20 @@ class EmbeddedSet:
         found: dict[str, list[Path]] = {}
         jobs = []
         for split, wanted in splits.items():
-            settings = wanted.settings
-            found[split] = [self.directory(root, split, i, settings) for i in range(wanted.size)]
+            film = _Film(settings=wanted.settings, furniture=wanted.furniture)
+            found[split] = [self.directory(root, split, i, **film) for i in range(wanted.size)]
             for seed, directory in enumerate(found[split], FIRST_SEED[split]):
-                build = partial(self.build, seed=seed, settings=settings)
-                jobs.append(SceneJob(directory, build))
+                jobs.append(SceneJob(directory, partial(self.build, seed=seed, **film)))
+            if wanted.furniture is not None and found[split]:
+                self._attribute(found[split][0].parent.parent, wanted.furniture)
         prepare_scenes(jobs, f"rendering {self.name}", workers)
         return found
+
+    def _attribute(self, directory: Path, furniture: Catalogue) -> None:
+        """Say beside the scenes whose models are in them."""
+        directory.mkdir(parents=True, exist_ok=True)
+        with atomic_path(directory / ATTRIBUTION) as temporary:
+            temporary.write_text(furniture.attribution(), encoding="utf-8")
 
 
 ROOMS = EmbeddedSet("rooms", rooms.VERSION, generate_room)
@@ -101,7 +133,10 @@ class EmbeddedSource(DataSource):
 
     def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
         """See `DataSource`."""
-        wanted = {split: EmbeddedSplit(self._size(split), self._filming(split)) for split in splits}
+        wanted = {
+            split: EmbeddedSplit(self._size(split), self._filming(split), self._furniture(split))
+            for split in splits
+        }
         found = self.made.prepare(self.root, wanted, self.settings.workers)
         scenes = {split: {path.name: path for path in paths} for split, paths in found.items()}
         lines = [
@@ -118,7 +153,11 @@ class EmbeddedSource(DataSource):
     def content(self) -> Content:
         """See `DataSource`."""
         versions = {"groundtruth": groundtruth.VERSION, self.made.name: self.made.version}
-        return Content(versions, shards=self.shards())
+        furniture = self._furniture("train")
+        if furniture is not None:
+            versions["furniture"] = models.VERSION
+        digest = None if furniture is None else furniture.digest
+        return Content(versions, shards=self.shards(), furniture=digest)
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
@@ -128,6 +167,11 @@ class EmbeddedSource(DataSource):
     def _size(self, split: str) -> int:
         s = self.settings
         return {"train": s.size, "val": s.val_size, "test": s.test_size}[split]
+
+    def _furniture(self, split: str) -> Catalogue | None:
+        """Val and test scenes are the same for all, so that their scores compare."""
+        directory = self.settings.furniture
+        return read_catalogue(Path(directory)) if directory and split == "train" else None
 
     def _filming(self, split: str) -> RoomSettings:
         s = self.settings
@@ -169,6 +213,5 @@ class FlatSource(EmbeddedSource):
 
     def _rooms(self) -> RoomSource:
         s = self.settings
-        return RoomSource(
-            RoomsData(root=s.root, size=s.rooms, width=s.width, height=s.height, workers=s.workers)
-        )
+        same = {k: getattr(s, k) for k in ("root", "width", "height", "workers", "furniture")}
+        return RoomSource(RoomsData(size=s.rooms, **same))

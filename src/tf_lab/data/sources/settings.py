@@ -33,6 +33,9 @@ class Content:
         shapes="weights",
         absent=None,
     )
+    furniture: str | None = setting(
+        None, "digest of the catalogues of furniture", shapes="weights", absent=None
+    )
     scenes: dict[str, dict[str, str]] = setting(
         {}, "digests of captures' scenes, by split and name"
     )
@@ -51,6 +54,12 @@ class EmbeddedData:
     height: int = setting(120, "pixels", shapes="weights", least=1, most=MOST_SIDE)
     frames: int = setting(128, "of a training scene", shapes="weights", least=1)
     test_frames: int = setting(260, "of a val or test scene", shapes="scores", least=1)
+    furniture: str | None = setting(
+        None,
+        "folder of Sweet Home 3D catalogues (.sh3f), whose models stand in training scenes; "
+        "null: furniture of our own alone",
+        kind="path",
+    )
     workers: int | None = setting(None, "rendering processes; null: one a core", least=1)
 
 
@@ -84,6 +93,7 @@ class ShardsData(RoomsData):
     name: str = setting("shards", "set it by data=", shapes="weights")
     size: int = setting(32, "not used: the shards are what is trained on", least=0)
     frames: int = setting(128, "not used", least=1)
+    furniture: str | None = setting(None, "not used", kind="path")
     urls: Any = setting(
         None,
         "DIR, https://host/DIR/, 'DIR/chunks-{000000..000031}.tar', or a list of such",
