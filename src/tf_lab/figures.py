@@ -1,6 +1,6 @@
 """The paper's figures, of a network, a capture, a run or a study, without a display.
 
-python -m tf_lab.figures [figures=[NAME,...]] [input=DIR | run=DIR] [checkpoint=FILE] [output=DIR]
+python -m tf_lab.figures [figures=[NAME,...]] [input=DIR | run=DIR] [checkpoint=DIR] [output=DIR]
 
 Without any it draws all that it finds something for, of a test room by the shipped checkpoint:
 views (which view is best where), selected (the views kept at points), comparison (methods beside

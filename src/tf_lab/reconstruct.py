@@ -1,6 +1,6 @@
 """Posed images to a mesh, with the shipped checkpoint or one of yours.
 
-python -m tf_lab.reconstruct [input=DIR] [checkpoint=FILE] [output=FILE.ply]
+python -m tf_lab.reconstruct [input=DIR] [checkpoint=DIR] [output=FILE.ply]
 
 Without an input it reconstructs a test room and prints its score.
 

@@ -1,13 +1,13 @@
 """Watch a reconstruction grow in the browser, or look at a run or at meshes.
 
-python -m tf_lab.view [input=DIR | run=DIR | mesh=FILE] [checkpoint=FILE] [port=N]
+python -m tf_lab.view [input=DIR | run=DIR | mesh=FILE] [checkpoint=DIR] [port=N]
 
 Without any it reconstructs a test room. The page is for this machine only; the command prints its
 address and how to see it from another.
 
 Examples:
   python -m tf_lab.view input=my_video views=8
-  python -m tf_lab.view 'checkpoint=[A.safetensors,B.safetensors]' port=8090
+  python -m tf_lab.view 'checkpoint=[DIR_A,DIR_B]' port=8090
 """
 
 from tf_lab.cli.command import command

@@ -59,7 +59,7 @@ def test_a_capture_without_depth_is_told(tmp_path: Path, box_scene: Path) -> Non
     shutil.rmtree(tmp_path / "bare" / "depth")
     result = pretrain("real=bare")
     assert result.status == 2
-    assert "bare: it has no depth" in result.err
+    assert "bare: no frame of it has depth" in result.err
 
 
 def test_a_killed_one_goes_on_unless_it_is_another(tmp_path: Path) -> None:

@@ -21,8 +21,9 @@ from tf_lab.data.rooms.models import Furniture, read_parts
 from tf_lab.data.rooms.render import Lighting, Renderer
 from tf_lab.data.rooms.shapes import Surfaces
 from tf_lab.data.rooms.textures import SIZE
-from tf_lab.data.sources.embedded import ATTRIBUTION, RoomSource
-from tf_lab.data.sources.settings import RoomsData
+from tf_lab.data.sources.embedded import RoomSource
+from tf_lab.data.sources.settings import Content, RoomsData, ShardsData
+from tf_lab.data.sources.source import ATTRIBUTION
 from tf_lab.errors import TFLabError
 
 # A cabinet in a file's frame (y up, front towards z): 2 wide, 4 high, 1 deep; its front carries an
@@ -37,9 +38,9 @@ v -1 0 1
 v 1 0 1
 v 1 4 1
 v -1 4 1
-v -1 0 1.5
-v 1 0 1.5
-v 1 4 1.5
+v -1 0 1.25
+v 1 0 1.25
+v 1 4 1.25
 vt 0 0
 vt 1 0
 vt 1 1
@@ -155,12 +156,12 @@ def test_what_stands_in_for_what(tmp_path: Path, said: str, kind: str | None) ->
 
 
 def test_a_model_is_fitted_into_its_size_with_its_front_ahead(catalogue: Catalogue) -> None:
-    """Its pane is left out; x runs the other way, or left and right would be exchanged."""
+    """Its pane, left out, counts for its size; x is turned round, or it would be mirrored."""
     red, front = sorted(read_parts(catalogue.models[0]), key=lambda part: part.uv is not None)
     corners = np.concatenate([red.corners, front.corners])
     np.testing.assert_allclose(corners.min((0, 1)), 0, atol=1e-12)
-    np.testing.assert_allclose(corners.max((0, 1)), [1.0, 0.5, 2.0])
-    np.testing.assert_allclose(front.corners[..., 1], 0.5)
+    np.testing.assert_allclose(corners.max((0, 1)), [1.0, 0.4, 2.0])
+    np.testing.assert_allclose(front.corners[..., 1], 0.4)
     assert front.uv is not None and red.uv is None
     # the image's left, u = 0, is at the file's x = -1: to the right of who looks out of its front
     np.testing.assert_allclose(front.uv[..., 0], 1 - front.corners[..., 0])
@@ -190,7 +191,7 @@ def seen(catalogue: Catalogue, yaw: float, behind: bool = False) -> np.ndarray:
     kit = Kit(Surfaces(rng), palette, rng)
     with kit.s.at((0, 0, 0), yaw):
         piece.build(kit)
-    eye = np.array([0.5, -2.75 if behind else 3.25, 1.0])
+    eye = np.array([0.5, -2.75 if behind else 3.15, 1.0])
     ahead = np.array([0, 1.0 if behind else -1.0, 0])
     pose, down = np.eye(4), np.array([0, 0, -1.0])
     pose[:3, :3] = np.stack([np.cross(down, ahead), down, ahead], axis=1)
@@ -262,6 +263,37 @@ def test_a_model_that_cannot_be_read_is_left_out(
     assert "made/cabinet/cabinet.obj left out" in caplog.text
 
 
+def test_a_model_beside_the_list(tmp_path: Path) -> None:
+    """Not in a folder of its own."""
+    with zipfile.ZipFile(tmp_path / "test.sh3f", "w") as file:
+        entries = ENTRIES.replace("/made/cabinet/", "")
+        file.writestr("PluginFurnitureCatalog.properties", entries)
+        for name, content in (("obj", SIDES), ("mtl", MATERIALS)):
+            file.writestr(f"cabinet.{name}", content)
+        file.writestr("front.png", front())
+    parts = read_parts(read_catalogue(tmp_path).models[0])
+    assert [part.image is not None for part in parts].count(True) == 1
+
+
+def test_models_of_two_catalogues_have_images_of_their_own(tmp_path: Path) -> None:
+    """Although their paths are the same."""
+    write(tmp_path)
+    shutil.copy(tmp_path / "test.sh3f", tmp_path / "two.sh3f")
+    rng = np.random.default_rng(0)
+    (palette,), textures = make_materials(rng)
+    kit, furniture = (
+        Kit(Surfaces(rng), palette, rng),
+        Furniture(read_catalogue(tmp_path), textures, rng),
+    )
+    for _ in range(100):
+        piece = furniture.instead(ours("wardrobe"))
+        if piece.height != 1.0:
+            piece.build(kit)
+    geometry = kit.s.build()
+    worn = np.unique(geometry.material[geometry.material != palette.index["painted"][0]])
+    assert len(worn) == 2
+
+
 def no_list(directory: Path) -> None:
     with zipfile.ZipFile(directory / "a.sh3f", "w") as file:
         file.writestr("readme", "")
@@ -331,5 +363,24 @@ def test_training_scenes_alone_have_models(tmp_path: Path) -> None:
     assert not (plain_train.parent.parent / ATTRIBUTION).exists()
     assert source(furniture=str(there)).prepare(["train"]).scenes["train"] == prepared[1]["train"]
     assert plain.content().furniture is None
+    assert plain.attribution() is None
+    assert "Oak wardrobe" in str(with_models.attribution())
     assert with_models.content() == source(furniture=str(there)).content()
     assert with_models.content() != plain.content()
+
+
+def test_shards_are_trained_on_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Furniture is of scenes that are rendered: beside shards it changes nothing."""
+    monkeypatch.setattr(RoomSource, "shards", lambda self: "the same")
+    plain, given = (
+        RoomSource(ShardsData(root=str(tmp_path), urls="DIR", furniture=furniture)).content()
+        for furniture in (None, str(tmp_path / "absent"))
+    )
+    assert plain == given
+
+
+def test_other_catalogues_than_when_a_run_began(tmp_path: Path) -> None:
+    known = Content(furniture="another")
+    source = RoomSource(RoomsData(root=str(tmp_path), furniture=str(write(tmp_path / "f"))), known)
+    with pytest.raises(TFLabError, match="other catalogues than when this run began"):
+        source.prepare(["train"])

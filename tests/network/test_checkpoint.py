@@ -196,6 +196,18 @@ def test_the_folder_of_a_training(tmp_path: Path) -> None:
     assert all(map(torch.equal, network.state_dict().values(), named.state_dict().values()))
 
 
+def test_other_stereo_than_it_was_trained_with(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Depth maps are then not what the weights are for; that of the shipped one is the same."""
+    network, info = load_network(shipped_checkpoint())
+    assert not caplog.records
+    info["training"]["config"]["content"]["stereo"] = "another"
+    save_network(network, tmp_path / "model.safetensors", info)
+    load_network(tmp_path)
+    assert "trained with depth by another stereo" in caplog.text
+
+
 def test_where_shipped_files_lie() -> None:
     """In the package itself, so that an installed wheel has them."""
     import tf_lab

@@ -57,6 +57,13 @@ def test_studies_are_kept_apart(tmp_path: Path) -> None:
         open_study([tmp_path], key="none")
 
 
+def test_with_and_without_stereo_are_rows_of_one_study(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 0, HALF)
+    write_run(tmp_path, "inputs=stereo content.stereo=abc", 0, HALF)
+    study, remarks = open_study([tmp_path])
+    assert (len(study.runs), remarks) == (2, [])
+
+
 def test_of_the_same_row_and_seed_the_newest_counts(tmp_path: Path) -> None:
     write_run(tmp_path / "a", "", 0, [0.9], commit="aaaa", written=2e9)
     write_run(tmp_path / "b", "", 0, [0.1], commit="bbbb", written=1e9)

@@ -61,3 +61,14 @@ def test_one_batch_can_be_learnt_by_heart() -> None:
         adam.step()
         losses.append(loss.item())
     assert losses[-1] < 0.4 * losses[0]
+
+
+def test_a_frame_without_depth_counts_for_no_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = DepthTraining(Regularizer(), FEW, 1e-3, 1, ["val"])
+    logged: list[dict[str, torch.Tensor]] = []
+    monkeypatch.setattr(module, "log_dict", lambda values, **_: logged.append(values))
+    scores = torch.rand(1, 8, 12, 16)
+    module.validation_step(SweepBatch(scores, torch.zeros(1, 12, 16)), 0)
+    assert not logged
+    module.validation_step(SweepBatch(scores, torch.ones(1, 12, 16)), 1)
+    assert logged[0] and all(torch.isfinite(value) for value in logged[0].values())

@@ -12,13 +12,13 @@ from tf_lab.config.schema import PrepareConfig
 from tf_lab.data.scene import Scene
 from tf_lab.data.shards import write_shards
 from tf_lab.data.sources.embedded import EmbeddedSource
-from tf_lab.data.sources.source import DataSource, open_source
+from tf_lab.data.sources.source import ATTRIBUTION, DataSource, open_source
 from tf_lab.data.visibility import scene_visibility
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.experiments.provenance import provenance
 from tf_lab.meshes.files import read_mesh
-from tf_lab.support.files import check_folder, file_name
+from tf_lab.support.files import atomic_path, check_folder, file_name
 from tf_lab.support.progress import progress_bar
 
 
@@ -71,6 +71,9 @@ def _write_shards(config: PrepareConfig, source: DataSource) -> None:
         provenance(),
         config.data.workers,
     )
+    if (attribution := source.attribution()) is not None:
+        with atomic_path(index.parent / ATTRIBUTION) as temporary:
+            temporary.write_text(attribution, encoding="utf-8")
     print(f"{index.parent}: {config.shard_chunks} chunks; train with data.urls={index.parent}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
@@ -10,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
-from lightning.pytorch.loggers import CSVLogger
-from safetensors.torch import save_file
 
+from tf_lab.commands.fit_weights import fit_weights
 from tf_lab.config.build import initialise_encoder
 from tf_lab.config.schema import PretrainConfig
 from tf_lab.config.stored import portable_config
@@ -24,13 +22,12 @@ from tf_lab.data.sources.settings import Content
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of
-from tf_lab.experiments.provenance import provenance, without_places
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.pyramid import Encoder
-from tf_lab.support.files import atomic_path, check_file
+from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
-from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock
+from tf_lab.training.fit import FitSettings
 from tf_lab.training.initial import with_encoder_digest
 from tf_lab.training.matching import Matching
 
@@ -47,7 +44,7 @@ def validation_pairs(scenes: Sequence[Path | Capture], config: PretrainConfig) -
 
 def run(config: PretrainConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
-    output, origin = Path(config.output), provenance()
+    output = Path(config.output)
     check_file(output)
     L.seed_everything(config.seed, verbose=False)
     made = open_source(config.data).scenes("train", "val")
@@ -68,26 +65,17 @@ def run(config: PretrainConfig) -> None:
         val = [validation_pairs(scenes, config) for scenes in validated.values()]
         return StreamDataModule(pairs, val, config.trainer.workers)
 
-    directory, every = output.with_suffix(""), config.validate_every
-    with rank_zero_lock(directory, "pre-training"):
-        trainer = fit(
-            module,
-            data,
-            directory,
-            replace(config.trainer, devices=1, strategy="auto"),
-            FitSettings(config.steps, every, every, CLIP, _identity(config, splits["train"])),
-            loggers=[CSVLogger(directory, name="logs")],
-        )
-        scores = {
-            name: round(float(value), 4)
-            for name, value in trainer.callback_metrics.items()
-            if name.partition("/")[0] in validated
-        }
-        info = without_places({**origin, "config": _portable(config), "scores": scores})
-        with atomic_path(output) as temporary:
-            save_file(encoder.state_dict(), temporary, {"info": json.dumps(info)})
-        (directory / LAST).unlink(missing_ok=True)
-    print(f"{output}: {scores}")
+    every = config.validate_every
+    fit_weights(
+        encoder,
+        module,
+        data,
+        output,
+        config.trainer,
+        FitSettings(config.steps, every, every, CLIP, _identity(config, splits["train"])),
+        [*validated],
+        _portable(config),
+    )
 
 
 def _identity(config: PretrainConfig, scenes: Sequence[Path]) -> str:

@@ -107,7 +107,7 @@ class PretrainConfig:
     training: Any = None
     optimizer: Any = None
     seed: int = setting(0, "of weights and pairs", shapes="weights", least=0, most=MOST_SEED)
-    steps: int = setting(3000, "in all", shapes="weights", least=1)
+    steps: int = setting(2000, "in all", shapes="weights", least=1)
     lr: float = setting(
         3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights", least=0
     )
@@ -160,7 +160,7 @@ class PretrainStereoConfig:
     data: Any = MISSING
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     seed: int = setting(0, "of weights and frames", shapes="weights", least=0, most=MOST_SEED)
-    steps: int = setting(3000, "in all", shapes="weights", least=1)
+    steps: int = setting(2000, "in all", shapes="weights", least=1)
     lr: float = setting(
         1.5e-3,
         "peak learning rate; 50 steps of warm-up, then cosine to 0",
@@ -181,7 +181,7 @@ class PretrainStereoConfig:
     validate_every: int = setting(500, "steps", least=1)
     output: str = setting(
         "outputs/stereo/stereo.safetensors",
-        "what takes the place of src/tf_lab/weights/stereo.safetensors",
+        "the weights; copied over tf_lab/weights/stereo.safetensors they are used",
         kind="path",
     )
 

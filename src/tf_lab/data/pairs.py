@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from torch.utils.data import IterableDataset
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.photometric import photometric
-from tf_lab.data.scene import Scene
+from tf_lab.data.scene import Scene, cached_scene
 from tf_lab.data.settings import PhotometricSettings
 from tf_lab.data.steps import own_steps
 from tf_lab.data.tsdf import unproject
@@ -107,7 +106,7 @@ class PairStream(IterableDataset[PairBatch]):
         found: list[PairBatch] = []
         for _ in range(100 * self.settings.pairs):
             chosen = self.scenes[rng.integers(len(self.scenes))]
-            pair = self.pair(_open(chosen) if isinstance(chosen, Path) else chosen, rng)
+            pair = self.pair(cached_scene(chosen) if isinstance(chosen, Path) else chosen, rng)
             if pair is not None:
                 found.append(pair)
             if len(found) == self.settings.pairs:
@@ -183,11 +182,6 @@ class PairStream(IterableDataset[PairBatch]):
         K = torch.from_numpy(scene.K[b]).float()
         uv, _ = project(transform(_pose(scene, a), wrong), K, _pose(scene, b, inverse=True))
         return uv.view(n[0], n[1], 2)
-
-
-@lru_cache(maxsize=256)
-def _open(directory: Path) -> Scene:
-    return Scene(directory)
 
 
 def _pose(scene: Capture, index: int, inverse: bool = False) -> Tensor:

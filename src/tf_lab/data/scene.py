@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -188,3 +189,9 @@ class Scene:
     def groundtruth(self) -> Path:
         """The directory of the scene's ground truth."""
         return self.directory / "groundtruth"
+
+
+@lru_cache(maxsize=256)
+def cached_scene(directory: Path) -> Scene:
+    """A scene that many draws open."""
+    return Scene(directory)

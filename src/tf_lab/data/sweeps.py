@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from tf_lab.data.camera_noise import disturb_cameras, share_of
 from tf_lab.data.capture import Capture
 from tf_lab.data.photometric import photometric
 from tf_lab.data.resize import Resized
-from tf_lab.data.scene import Scene
+from tf_lab.data.scene import cached_scene
 from tf_lab.data.settings import CameraNoise, PhotometricSettings
 from tf_lab.data.steps import own_steps
 from tf_lab.errors import TFLabError
@@ -88,19 +87,19 @@ class SweepStream(IterableDataset[SweepBatch]):
         """One batch.
 
         Raises:
-            TFLabError: hardly a frame has others to be compared with.
+            TFLabError: hardly a frame has depth, and others to be compared with.
         """
         found: list[SweepBatch] = []
         for _ in range(TRIES * self.draws.frames):
-            scene = _open(self.scenes[rng.integers(len(self.scenes))])
+            scene = cached_scene(self.scenes[rng.integers(len(self.scenes))])
             one = self._drawn(scene, rng)
             found += [one] if one is not None else []
             if len(found) == self.draws.frames:
                 return joined(found)
-        raise TFLabError("the frames of the scenes do not overlap enough for stereo")
+        raise TFLabError("hardly a frame of the scenes has depth and others that overlap it")
 
     def _drawn(self, scene: Capture, rng: np.random.Generator) -> SweepBatch | None:
-        """A random frame, without the batch axis; None if it has no sources."""
+        """A random frame, without the batch axis; None if it has no sources or no depth."""
         i = int(rng.integers(len(scene.frames)))
         last = len(scene.frames) if rng.random() < LATER else i + 1
         there = (rng.random(last) >= MISSED) | (np.arange(last) == i)
@@ -117,7 +116,7 @@ def every_sweep(
     """Sweeps of chosen frames as they are, each against the keyframes before it.
 
     Returns:
-        A batch for each frame; none for those without sources.
+        A batch for each frame; none for those without sources or without depth.
     """
     there, found = np.array(keyframes), []
     for i in chosen:
@@ -152,8 +151,7 @@ def _swept(
 ) -> SweepBatch | None:
     """The sweep of a frame, without the batch axis; ``used`` are it and its sources.
 
-    Raises:
-        TFLabError: there is no depth.
+    None without sources, or without depth.
     """
     if len(used) == 1:
         return None
@@ -161,11 +159,6 @@ def _swept(
     view, *sources = [small_view(*camera, settings.width) for camera in cameras]
     depth = Resized(capture, view.grey.shape[::-1]).depth(used[0])
     if depth is None:
-        raise TFLabError(f"{capture.name}: pre-training needs depth, this scene has none")
+        return None
     scores = scores_of(view, sources, settings)
     return SweepBatch(torch.from_numpy(scores), torch.from_numpy(depth))
-
-
-@lru_cache(maxsize=256)
-def _open(directory: Path) -> Scene:
-    return Scene(directory)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import textwrap
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -16,11 +17,13 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.finite import check_finite
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
+from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
 from tf_lab.support.headers import WEIGHTS, read_header
 from tf_lab.support.records import record
 
+log = logging.getLogger(__name__)
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 
 
@@ -64,7 +67,21 @@ def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
             f"{path}: made by another version or another network ({reason}); train it again"
         ) from error
     check_finite(network.state_dict(), path)
+    if network.config.stereo and _stereo_of(info) not in (None, stereo_identity()):
+        log.warning(
+            "%s: trained with depth by another stereo than there is now; train it on from its "
+            "weights (init=)",
+            path,
+        )
     return network.eval(), info
+
+
+def _stereo_of(info: dict[str, Any]) -> str | None:
+    """The identity of the stereo that a network was trained with; None if nothing is said."""
+    try:
+        return str(info["training"]["config"]["content"].get("stereo"))
+    except (AttributeError, KeyError, TypeError):
+        return None
 
 
 def _config_for(path: Path, text: str) -> NetworkConfig:

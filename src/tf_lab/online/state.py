@@ -75,7 +75,8 @@ def read_state(path: Path, network: Network) -> tuple[ReconstructionSettings, di
                 raise TFLabError(f"{path}: of another version of tf_lab; reconstruct again")
             if saved.network != fingerprint(network):
                 raise TFLabError(
-                    f"{path}: made with another network; load it with that one's checkpoint"
+                    f"{path}: made with another network, or with other stereo; load it with that "
+                    "one's checkpoint, or reconstruct again"
                 )
             return saved.settings, {
                 name: file.get_tensor(name)

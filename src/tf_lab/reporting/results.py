@@ -110,8 +110,9 @@ def read_run(directory: Path) -> Run:
     origin = read_record(Origin, directory / "run.json", cure)
     trained, evaluated = training_identity(config), evaluation_identity(config)
     settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
-    if config.optimizer.steps == 0:  # a network that is only tested: which one, the row says
-        settings["content"] = {**settings["content"], "init": None}
+    # which stereo there is, the row says with its inputs; and if only tested, which network
+    told = ["stereo", *(["init"] if config.optimizer.steps == 0 else [])]
+    settings["content"] = {**settings["content"], **dict.fromkeys(told)}
     settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
     training = origin.get("training", Origin())
     settings["test"]["protocol"] = metrics.protocol

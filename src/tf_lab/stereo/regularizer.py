@@ -8,12 +8,16 @@ photographs and rendered rooms look like differs more than how their scores do.
 from __future__ import annotations
 
 import functools
+import textwrap
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
+
+from tf_lab.errors import TFLabError
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights" / "stereo.safetensors"
 CHANNELS = (16, 32, 48)  # of the three scales
@@ -92,7 +96,8 @@ def read_depth(logits: Tensor, inverse: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         Depth [B, H, W], metres: the mean inverse depth about the likeliest plane; and its
-        confidence: the probability of the planes that the mean is over.
+        confidence: the probability of the planes that the mean is over. Where no source sees a
+        pixel, both are what its surroundings make likely.
     """
     likely = logits.float().softmax(dim=1)
     planes = torch.arange(len(inverse), device=logits.device).view(1, -1, 1, 1)
@@ -104,7 +109,18 @@ def read_depth(logits: Tensor, inverse: Tensor) -> tuple[Tensor, Tensor]:
 
 @functools.cache
 def shipped_regularizer() -> Regularizer:
-    """The one that comes with the package (`python -m tf_lab.pretrain_stereo` makes it)."""
+    """The one that comes with the package (`python -m tf_lab.pretrain_stereo` makes it).
+
+    Raises:
+        TFLabError: the file is missing, or of another network.
+    """
     network = Regularizer()
-    network.load_state_dict(load_file(SHIPPED))
+    try:
+        network.load_state_dict(load_file(SHIPPED))
+    except (OSError, SafetensorError, RuntimeError) as error:
+        reason = textwrap.shorten(str(error), 160)
+        raise TFLabError(
+            f"{SHIPPED}: not what `python -m tf_lab.pretrain_stereo` makes ({reason}); install "
+            "tf_lab again, or train it again"
+        ) from error
     return network.eval().requires_grad_(False)

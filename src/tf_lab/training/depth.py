@@ -82,6 +82,8 @@ class DepthTraining(L.LightningModule):
         logits = self.regularizer(scores).float()
         depth, confidence = read_depth(logits, inverse)
         known = (truth > settings.near) & (truth < settings.far)
+        if not known.any():
+            return
         error = (depth - truth).abs()[known]
         raw = (1 / inverse[scores.argmax(1)] - truth).abs()[known]
         terms = {f"within_{name}": (error < most).float().mean() for name, most in WITHIN.items()}

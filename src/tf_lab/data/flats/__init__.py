@@ -58,9 +58,9 @@ def make_flat(seed: int, catalogue: Catalogue | None = None) -> Flat:
     lighting = []
     for number, room in enumerate(plan.rooms):
         surfaces.room = number
-        kit = Kit(surfaces, palettes[number], rng, furniture=furniture)
+        kit = Kit(surfaces, palettes[number], rng)
         build_shell(surfaces, room, palettes[number], rng)
-        stands = furnish_room(kit, plan, number, str(themes[number]))
+        stands = furnish_room(kit, plan, number, str(themes[number]), furniture)
         lighting.append(_light(room, stands, rng))
         hang_lamp(kit, lighting[-1].positions[0], room.height)
         placed += stands

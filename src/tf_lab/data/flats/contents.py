@@ -14,6 +14,7 @@ from tf_lab.data.rooms.arrange import THEMES, Maker, furnish
 from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.footprint import Placed
 from tf_lab.data.rooms.layout import Plan
+from tf_lab.data.rooms.models import Furniture
 
 Rng = np.random.Generator
 HALL: tuple[Maker, ...] = (st.shelf, st.nightstand, f.plant)
@@ -21,12 +22,15 @@ TOPS = {"table": None, "coffee table": None, "desk": None, "sideboard": None, "c
 """Pieces that people film from near, and the height (m) of their tops; None: their own."""
 
 
-def furnish_room(kit: Kit, plan: FlatPlan, number: int, theme: str) -> list[Placed]:
+def furnish_room(
+    kit: Kit, plan: FlatPlan, number: int, theme: str, furniture: Furniture | None = None
+) -> list[Placed]:
     """Furnish one of the rooms; returns what stands on its floor."""
     room = plan.rooms[number]
     if number == plan.corridor:
-        return furnish(kit, room, HALL)
-    return furnish(kit, room, THEMES[theme], dividers(kit.rng, room, len(plan.rooms)))
+        return furnish(kit, room, HALL, furniture=furniture)
+    first = dividers(kit.rng, room, len(plan.rooms))
+    return furnish(kit, room, THEMES[theme], first, furniture)
 
 
 def dividers(rng: Rng, room: Plan, rooms: int) -> list[Piece]:

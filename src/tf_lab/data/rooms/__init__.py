@@ -57,10 +57,10 @@ def make_room(seed: int, catalogue: Catalogue | None = None) -> Room:
     """The room of a seed; models of a catalogue stand in for some of its furniture."""
     rng = np.random.default_rng([seed, 0])
     (palette,), textures = make_materials(rng)
-    kit = Kit(Surfaces(rng), palette, rng, furniture=furniture_of(catalogue, textures, seed))
+    kit = Kit(Surfaces(rng), palette, rng)
     plan = make_plan(rng)
     build_shell(kit.s, plan, palette, rng)
-    placed = furnish(kit, plan)
+    placed = furnish(kit, plan, furniture=furniture_of(catalogue, textures, seed))
     lighting = make_lighting(plan, rng)
     hang_lamp(kit, lighting.positions[0], plan.height)
     return Room(plan, placed, kit.s.build(), textures, lighting)

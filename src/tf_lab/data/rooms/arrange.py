@@ -11,6 +11,7 @@ from tf_lab.data.rooms import storage as st
 from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.footprint import FreeSpace, Placed, overlap
 from tf_lab.data.rooms.layout import Plan, Wall
+from tf_lab.data.rooms.models import Furniture
 
 Rng = np.random.Generator
 Maker = Callable[[Rng], Piece]
@@ -31,8 +32,8 @@ FILLERS: tuple[Maker, ...] = (
 class Arranger:
     """Places pieces so that nothing intersects, doors stay clear and a person can walk."""
 
-    def __init__(self, kit: Kit, plan: Plan) -> None:
-        self._kit, self._plan, self._rng = kit, plan, kit.rng
+    def __init__(self, kit: Kit, plan: Plan, furniture: Furniture | None = None) -> None:
+        self._kit, self._plan, self._rng, self._furniture = kit, plan, kit.rng, furniture
         self.placed: list[Placed] = []
         self._taken: list[list[list[float]]] = [
             [[o.start - 0.1, o.end + 0.1, o.low - 0.1, o.high + 0.12] for o in w.openings]
@@ -58,7 +59,7 @@ class Arranger:
     def made(self, maker: Maker) -> Piece:
         """A piece, or a model that stands in for it."""
         piece = maker(self._rng)
-        return self._kit.furniture.instead(piece) if self._kit.furniture else piece
+        return self._furniture.instead(piece) if self._furniture else piece
 
     def _put(self, piece: Piece, origin: np.ndarray, yaw: float, margin: float = 0.03) -> bool:
         """Build the piece with its back left corner at ``origin``, if it fits."""
@@ -225,7 +226,11 @@ class Arranger:
 
 
 def furnish(
-    kit: Kit, plan: Plan, theme: Sequence[Maker] | None = None, dividers: Sequence[Piece] = ()
+    kit: Kit,
+    plan: Plan,
+    theme: Sequence[Maker] | None = None,
+    dividers: Sequence[Piece] = (),
+    furniture: Furniture | None = None,
 ) -> list[Placed]:
     """Furnish a room; returns what stands on the floor.
 
@@ -234,9 +239,10 @@ def furnish(
         plan: the room.
         theme: what to place; None: one of `THEMES` at random.
         dividers: pieces that go first, and far into the room.
+        furniture: models in place of some of the others.
     """
     rng = kit.rng
-    arranger = Arranger(kit, plan)
+    arranger = Arranger(kit, plan, furniture)
     for piece in dividers:
         arranger.at_wall(piece, beside=0.6)
     for maker in theme or THEMES[str(rng.choice(list(THEMES)))]:

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tf_lab.data.rooms.materials import Palette
 from tf_lab.data.rooms.shapes import Surfaces, Tint, Vector
 from tf_lab.data.rooms.textures import colour
-
-if TYPE_CHECKING:
-    from tf_lab.data.rooms.models import Furniture
 
 Rng = np.random.Generator
 Rect = Sequence[float]
@@ -31,8 +27,6 @@ class Kit:
     rng: Rng
     bare: bool = False
     """Whether tops stay empty."""
-    furniture: Furniture | None = None
-    """Models in place of pieces."""
 
     def wood(self) -> int:
         """One of the room's woods."""

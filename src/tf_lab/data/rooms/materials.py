@@ -56,7 +56,8 @@ class Textures:
         self._texel = np.asarray(texels)
 
     def add(self, image: np.ndarray, texel: float) -> int:
-        """The number of one texture more; none is added once there was a lookup."""
+        """The number of one texture more, of the same size; before the first lookup only."""
+        assert "_levels" not in vars(self)
         self._images.append(image.astype(np.float32))
         self._texel = np.append(self._texel, texel)
         return len(self._images) - 1

@@ -6,7 +6,7 @@ import functools
 import io
 import logging
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,12 +36,14 @@ class Part:
         colour: linear [3].
         uv: [F, 3, 2] in widths of the image, v upwards; None without an image.
         image: linear float32 [SIZE, SIZE, 3], or None.
+        pane: whether one sees through it.
     """
 
     corners: np.ndarray
     colour: np.ndarray
     uv: np.ndarray | None
     image: np.ndarray | None
+    pane: bool
 
 
 class Furniture:
@@ -56,7 +58,7 @@ class Furniture:
     def __init__(self, catalogue: Catalogue, textures: Textures, rng: np.random.Generator) -> None:
         self._catalogue, self._textures, self._rng = catalogue, textures, rng
         self._last: dict[str, Model] = {}
-        self._materials: dict[tuple[str, int], tuple[int, float]] = {}
+        self._materials: dict[tuple[Model, int], tuple[int, float]] = {}
 
     def instead(self, piece: Piece) -> Piece:
         """A model for a piece of ours, or that piece."""
@@ -74,11 +76,11 @@ class Furniture:
 
         def build(kit: Kit) -> None:
             for number, part in enumerate(parts):
-                self._add(kit, part, (model.path, number))
+                self._add(kit, part, (model, number))
 
         return Piece(piece.name, width, depth, height, build)
 
-    def _add(self, kit: Kit, part: Part, key: tuple[str, int]) -> None:
+    def _add(self, kit: Kit, part: Part, key: tuple[Model, int]) -> None:
         if part.image is None or part.uv is None:
             kit.s.triangles(part.corners, kit.painted, part.colour)
             return
@@ -101,34 +103,33 @@ def furniture_of(catalogue: Catalogue | None, textures: Textures, seed: int) -> 
 def read_parts(model: Model) -> tuple[Part, ...]:
     """The parts of a model in a piece's frame; none, with a warning, if it cannot be read."""
     try:
-        folder = model.path.rpartition("/")[0] + "/"
+        folder = model.path[: model.path.rfind("/") + 1]
         with zipfile.ZipFile(model.archive) as file:
             beside = [name for name in file.namelist() if name.startswith(folder)]
             files = {name: io.BytesIO(file.read(name)) for name in beside}
-        resolver = trimesh.resolvers.ZipResolver(files, namespace=folder)
+        resolver = trimesh.resolvers.ZipResolver(files, namespace=folder or None)
         scene = trimesh.load_scene(files[model.path], "obj", resolver=resolver, process=False)
         made = [_part(mesh) for mesh in scene.geometry.values()]
     except Exception as error:  # whatever a parser trips over
         log.warning("%s: %s left out (%s)", model.archive.name, model.path, error)
         return ()
-    parts = [part for part in made if part is not None and len(part.corners)]
-    return _fitted(parts, model) if parts else ()
+    return _fitted([part for part in made if len(part.corners)], model)
 
 
-def _part(mesh: trimesh.Trimesh) -> Part | None:
-    """A mesh of a file as a part, in the file's frame; None if it is a pane."""
+def _part(mesh: trimesh.Trimesh) -> Part:
+    """A mesh of a file as a part, in the file's frame."""
     material: Any = getattr(mesh.visual, "material", None)
     said = getattr(material, "kwargs", None) or {}
-    if float(said.get("d", ["1"])[0]) < OPAQUE:
-        return None
+    pane = float(said.get("d", ["1"])[0]) < OPAQUE
     corners = np.asarray(mesh.vertices, float)[mesh.faces]
     diffuse = getattr(material, "diffuse", None)
     colour = np.array([200, 200, 200]) if diffuse is None else np.asarray(diffuse)[:3]
     picture, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
     if picture is None or uv is None:
-        return Part(corners, _linear(colour), None, None)
+        return Part(corners, _linear(colour), None, None, pane)
     small = picture.convert("RGB").resize((SIZE, SIZE), Image.Resampling.BILINEAR)
-    return Part(corners, _linear(colour), np.asarray(uv)[mesh.faces], _linear(np.asarray(small)))
+    image = _linear(np.asarray(small))
+    return Part(corners, _linear(colour), np.asarray(uv)[mesh.faces], image, pane)
 
 
 def _linear(colour: np.ndarray) -> np.ndarray:
@@ -138,8 +139,10 @@ def _linear(colour: np.ndarray) -> np.ndarray:
 def _fitted(parts: list[Part], model: Model) -> tuple[Part, ...]:
     """Parts in the frame of a piece: x to its right, y to its front, z up, in its size.
 
-    A file's y is up and its front faces z, so that x is turned round.
+    A file's y is up and its front faces z, so that x is turned round. Panes are left out.
     """
+    if not parts:
+        return ()
     turn = np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0.0]]) @ np.reshape(model.rotation, (3, 3))
     turned = [part.corners @ turn.T for part in parts]
     low = np.min([corners.min((0, 1)) for corners in turned], axis=0)
@@ -150,8 +153,8 @@ def _fitted(parts: list[Part], model: Model) -> tuple[Part, ...]:
         placed = (corners - low) * scale
         big = _areas(placed) > SMALLEST
         uv = None if part.uv is None else part.uv[big]
-        found.append(Part(placed[big], part.colour, uv, part.image))
-    return tuple(part for part in found if len(part.corners))
+        found.append(replace(part, corners=placed[big], uv=uv))
+    return tuple(part for part in found if len(part.corners) and not part.pane)
 
 
 def _metres(corners: np.ndarray, uv: np.ndarray) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from tf_lab.data import flats, groundtruth, rooms, scene
 from tf_lab.data.flats import generate_flat
@@ -17,11 +17,11 @@ from tf_lab.data.rooms import RoomSettings, generate_room, models
 from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
 from tf_lab.data.scene import Frame, write_scene
 from tf_lab.data.sources.settings import Content, EmbeddedData, FlatsData, RoomsData
-from tf_lab.data.sources.source import DataSource, Prepared
+from tf_lab.data.sources.source import ATTRIBUTION, DataSource, Prepared
+from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, file_name
 from tf_lab.support.tasks import SceneJob, prepare_scenes
 
-ATTRIBUTION = "ATTRIBUTION.txt"
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
 
 
@@ -32,11 +32,6 @@ class EmbeddedSplit:
     size: int
     settings: RoomSettings
     furniture: Catalogue | None = None
-
-
-class _Film(TypedDict):
-    settings: RoomSettings
-    furniture: Catalogue | None
 
 
 @dataclass(frozen=True)
@@ -73,12 +68,8 @@ class EmbeddedSet:
         key = hashlib.sha256(identity.encode()).hexdigest()[:10]
         return root / f"{self.name}-{key}" / split / self.scene_name(FIRST_SEED[split] + index)
 
-    def build(
-        self,
-        directory: Path,
-        seed: int,
-        settings: RoomSettings,
-        furniture: Catalogue | None = None,
+    def _build(
+        self, seed: int, settings: RoomSettings, furniture: Catalogue | None, directory: Path
     ) -> None:
         """Render a scene and its ground truth into a directory (see `scene`, `groundtruth`)."""
         provenance = {
@@ -105,10 +96,10 @@ class EmbeddedSet:
         found: dict[str, list[Path]] = {}
         jobs = []
         for split, wanted in splits.items():
-            film = _Film(settings=wanted.settings, furniture=wanted.furniture)
-            found[split] = [self.directory(root, split, i, **film) for i in range(wanted.size)]
+            film = wanted.settings, wanted.furniture
+            found[split] = [self.directory(root, split, i, *film) for i in range(wanted.size)]
             for seed, directory in enumerate(found[split], FIRST_SEED[split]):
-                jobs.append(SceneJob(directory, partial(self.build, seed=seed, **film)))
+                jobs.append(SceneJob(directory, partial(self._build, seed, *film)))
             if wanted.furniture is not None and found[split]:
                 self._attribute(found[split][0].parent.parent, wanted.furniture)
         prepare_scenes(jobs, f"rendering {self.name}", workers)
@@ -116,9 +107,10 @@ class EmbeddedSet:
 
     def _attribute(self, directory: Path, furniture: Catalogue) -> None:
         """Say beside the scenes whose models are in them."""
-        directory.mkdir(parents=True, exist_ok=True)
-        with atomic_path(directory / ATTRIBUTION) as temporary:
-            temporary.write_text(furniture.attribution(), encoding="utf-8")
+        if not (directory / ATTRIBUTION).exists():
+            directory.mkdir(parents=True, exist_ok=True)
+            with atomic_path(directory / ATTRIBUTION) as temporary:
+                temporary.write_text(furniture.attribution(), encoding="utf-8")
 
 
 ROOMS = EmbeddedSet("rooms", rooms.VERSION, generate_room)
@@ -171,7 +163,20 @@ class EmbeddedSource(DataSource):
     def _furniture(self, split: str) -> Catalogue | None:
         """Val and test scenes are the same for all, so that their scores compare."""
         directory = self.settings.furniture
-        return read_catalogue(Path(directory)) if directory and split == "train" else None
+        if not directory or split != "train" or getattr(self.settings, "urls", None):
+            return None
+        catalogue = read_catalogue(Path(directory).expanduser())
+        if self.known.furniture not in (None, catalogue.digest):
+            raise TFLabError(
+                f"data.furniture={directory}: other catalogues than when this run began; start it "
+                "again"
+            )
+        return catalogue
+
+    def attribution(self) -> str | None:
+        """See `DataSource`."""
+        furniture = self._furniture("train")
+        return None if furniture is None else furniture.attribution()
 
     def _filming(self, split: str) -> RoomSettings:
         s = self.settings

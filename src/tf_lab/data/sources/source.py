@@ -18,6 +18,8 @@ from tf_lab.data.sources.settings import Content
 from tf_lab.data.stereo_maps import prepare_stereo
 from tf_lab.errors import TFLabError
 
+ATTRIBUTION = "ATTRIBUTION.txt"  # beside scenes and shards whose images have to come with it
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -95,6 +97,10 @@ class DataSource(ABC):
             TFLabError: a split has scenes, and none can be made.
         """
         return self.prepare(splits).scenes
+
+    def attribution(self) -> str | None:
+        """Whom images of the training scenes have to name, if anybody; see `ATTRIBUTION`."""
+        return None
 
     def shards(self) -> str | None:
         """The digest of the shards that training uses; None: it uses the training scenes.

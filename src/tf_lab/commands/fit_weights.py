@@ -1,0 +1,63 @@
+"""A network that is trained by itself, before the others, and kept as a file of weights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+from lightning.pytorch.loggers import CSVLogger
+from safetensors.torch import save_file
+from torch import nn
+
+from tf_lab.config.groups import TrainerSettings
+from tf_lab.experiments.provenance import provenance, without_places
+from tf_lab.support.files import atomic_path
+from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock
+
+
+def fit_weights(
+    network: nn.Module,
+    module: L.LightningModule,
+    data: Callable[[], L.LightningDataModule],
+    output: Path,
+    trainer: TrainerSettings,
+    settings: FitSettings,
+    sets: Sequence[str],
+    config: dict[str, Any],
+) -> None:
+    """Train, and write weights, provenance and the last scores.
+
+    Args:
+        network: whose weights are written.
+        module: what trains it, and logs scores named ``SET/SCORE``.
+        data: what it is trained and validated on.
+        output: the file; the state to go on from lies in a folder of its name meanwhile.
+        trainer: one device is used.
+        settings: see `fit`.
+        sets: names of what is validated on.
+        config: what is said of the settings, without places of this machine.
+    """
+    origin, directory = provenance(), output.with_suffix("")
+    with rank_zero_lock(directory, "pre-training"):
+        fitted = fit(
+            module,
+            data,
+            directory,
+            replace(trainer, devices=1, strategy="auto"),
+            settings,
+            loggers=[CSVLogger(directory, name="logs")],
+        )
+        scores = {
+            name: round(float(value), 4)
+            for name, value in fitted.callback_metrics.items()
+            if name.partition("/")[0] in sets
+        }
+        info = without_places({**origin, "config": config, "scores": scores})
+        with atomic_path(output) as temporary:
+            save_file(network.state_dict(), temporary, {"info": json.dumps(info)})
+        (directory / LAST).unlink(missing_ok=True)
+    print(f"{output}: {scores}")
