@@ -1,5 +1,6 @@
 """Frames drawn to learn depth from stereo: which views they are compared with, and what is true."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -72,5 +73,10 @@ def test_scenes_that_say_nothing_are_told(tmp_path: Path, box_scene: Path) -> No
     with pytest.raises(TFLabError, match="no scene to pre-train on"):
         SweepStream([], SMALL, PLAIN, 0)
     far = StereoSettings(width=16, planes=8, baseline=(90.0, 99.0, 95.0))
-    with pytest.raises(TFLabError, match="do not overlap enough"):
+    told = "hardly a frame of the scenes has depth and others that overlap it"
+    with pytest.raises(TFLabError, match=told):
         next(iter(SweepStream([box_scene], far, PLAIN, 0)))
+    shutil.copytree(box_scene, tmp_path / "bare")
+    shutil.rmtree(tmp_path / "bare" / "depth")
+    with pytest.raises(TFLabError, match=told):
+        next(iter(SweepStream([tmp_path / "bare"], SMALL, PLAIN, 0)))
