@@ -110,9 +110,10 @@ def read_run(directory: Path) -> Run:
     origin = read_record(Origin, directory / "run.json", cure)
     trained, evaluated = training_identity(config), evaluation_identity(config)
     settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
-    # which stereo there is, the row says with its inputs; and if only tested, which network
-    told = ["stereo", *(["init"] if config.optimizer.steps == 0 else [])]
-    settings["content"] = {**settings["content"], **dict.fromkeys(told)}
+    # which stereo there is, the row says with its inputs
+    settings["content"] = {k: v for k, v in settings["content"].items() if k != "stereo"}
+    if config.optimizer.steps == 0:  # a network that is only tested: which one, the row says
+        settings["content"]["init"] = None
     settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
     training = origin.get("training", Origin())
     settings["test"]["protocol"] = metrics.protocol
