@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from helpers.tiny_jobs import call
 from tf_lab.data.rooms import RoomSettings, generate_room, make_room
 from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
 from tf_lab.data.rooms.decor import Kit, Piece
@@ -384,3 +385,15 @@ def test_other_catalogues_than_when_a_run_began(tmp_path: Path) -> None:
     source = RoomSource(RoomsData(root=str(tmp_path), furniture=str(write(tmp_path / "f"))), known)
     with pytest.raises(TFLabError, match="other catalogues than when this run began"):
         source.prepare(["train"])
+
+
+def test_shards_of_such_scenes_name_the_makers(tmp_path: Path) -> None:
+    directory = write(tmp_path / "furniture")
+    result = call(
+        "prepare",
+        *("data=rooms", f"data.root={tmp_path}", f"data.furniture={directory}", "data.workers=1"),
+        *("data.size=1", "data.val_size=0", "data.test_size=0", "data.frames=24"),
+        *("data.width=32", "data.height=24", "shards=shards", "shard_chunks=2", "shard_size=2"),
+    )
+    assert result.status == 0, result.err
+    assert "Oak wardrobe" in Path("shards", ATTRIBUTION).read_text(encoding="utf-8")

@@ -1,10 +1,16 @@
 """What reads depth from a volume of scores: by hand where it can be, and on a known wall."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from helpers.textured_wall import frame, wall_depth
+from tf_lab.errors import TFLabError
+from tf_lab.stereo import regularizer
 from tf_lab.stereo.depth import SETTINGS, scores_of, small_view
 from tf_lab.stereo.regularizer import (
     SHARPNESS,
@@ -78,3 +84,27 @@ def test_the_shipped_one_fills_what_windows_leave_open() -> None:
     error = np.abs(depth[0].numpy()[patch] - truth) / truth
     raw = 1 / inverse[scores[0].argmax(0)].numpy()[patch]
     assert np.median(error) < 0.05 < np.median(np.abs(raw - truth) / truth)
+
+
+def nothing(path: Path) -> None:
+    assert not path.exists()
+
+
+def text(path: Path) -> None:
+    path.write_text("weights")
+
+
+def of_another_network(path: Path) -> None:
+    save_file({"weight": torch.ones(1)}, path)
+
+
+@pytest.mark.parametrize("make", [nothing, text, of_another_network])
+def test_weights_that_do_not_fit_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[Path], None]
+) -> None:
+    path = tmp_path / "stereo.safetensors"
+    make(path)
+    monkeypatch.setattr(regularizer, "SHIPPED", path)
+    with pytest.raises(TFLabError, match="install tf_lab again, or train it again") as caught:
+        shipped_regularizer.__wrapped__()
+    assert str(caught.value).startswith(f"{path}: ")

@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from tf_lab.config.groups import TrainerSettings
-from tf_lab.experiments.provenance import provenance, without_places
+from tf_lab.experiments.provenance import without_places
 from tf_lab.support.files import atomic_path
 from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock
 
@@ -27,7 +27,7 @@ def fit_weights(
     trainer: TrainerSettings,
     settings: FitSettings,
     sets: Sequence[str],
-    config: dict[str, Any],
+    info: dict[str, Any],
 ) -> None:
     """Train, and write weights, provenance and the last scores.
 
@@ -39,9 +39,9 @@ def fit_weights(
         trainer: one device is used.
         settings: see `fit`.
         sets: names of what is validated on.
-        config: what is said of the settings, without places of this machine.
+        info: what the file says of its making, beside the scores: provenance and config.
     """
-    origin, directory = provenance(), output.with_suffix("")
+    directory = output.with_suffix("")
     with rank_zero_lock(directory, "pre-training"):
         fitted = fit(
             module,
@@ -56,8 +56,8 @@ def fit_weights(
             for name, value in fitted.callback_metrics.items()
             if name.partition("/")[0] in sets
         }
-        info = without_places({**origin, "config": config, "scores": scores})
+        told = json.dumps(without_places({**info, "scores": scores}))
         with atomic_path(output) as temporary:
-            save_file(network.state_dict(), temporary, {"info": json.dumps(info)})
+            save_file(network.state_dict(), temporary, {"info": told})
         (directory / LAST).unlink(missing_ok=True)
     print(f"{output}: {scores}")

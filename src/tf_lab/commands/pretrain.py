@@ -22,6 +22,7 @@ from tf_lab.data.sources.settings import Content
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of
+from tf_lab.experiments.provenance import provenance
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.support.files import check_file
@@ -44,7 +45,7 @@ def validation_pairs(scenes: Sequence[Path | Capture], config: PretrainConfig) -
 
 def run(config: PretrainConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
-    output = Path(config.output)
+    output, origin = Path(config.output), provenance()
     check_file(output)
     L.seed_everything(config.seed, verbose=False)
     made = open_source(config.data).scenes("train", "val")
@@ -74,7 +75,7 @@ def run(config: PretrainConfig) -> None:
         config.trainer,
         FitSettings(config.steps, every, every, CLIP, _identity(config, splits["train"])),
         [*validated],
-        _portable(config),
+        {**origin, "config": _portable(config)},
     )
 
 

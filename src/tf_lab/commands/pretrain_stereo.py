@@ -17,6 +17,7 @@ from tf_lab.data.sources.source import open_source
 from tf_lab.data.sweeps import SweepBatch, SweepDraws, SweepStream, every_sweep
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of
+from tf_lab.experiments.provenance import provenance
 from tf_lab.stereo.depth import SETTINGS, VERSION
 from tf_lab.stereo.regularizer import Regularizer
 from tf_lab.support.files import check_file
@@ -31,7 +32,7 @@ CLIP = 1.0  # largest gradient norm
 
 def run(config: PretrainStereoConfig) -> None:
     """Train, validate on the val split, write the weights with their provenance."""
-    output = Path(config.output)
+    output, origin = Path(config.output), provenance()
     check_file(output)
     L.seed_everything(config.seed, verbose=False)
     made = open_source(config.data).scenes("train", "val")
@@ -51,6 +52,7 @@ def run(config: PretrainStereoConfig) -> None:
         )
 
     every = config.validate_every
+    real = config.real and Path(config.real).name
     fit_weights(
         regularizer,
         module,
@@ -59,7 +61,7 @@ def run(config: PretrainStereoConfig) -> None:
         config.trainer,
         FitSettings(config.steps, every, every, CLIP, _identity(config, train)),
         [*validated],
-        {**portable_config(config), "real": config.real and Path(config.real).name},
+        {**origin, "config": {**portable_config(config), "real": real}},
     )
 
 

@@ -107,7 +107,7 @@ class PretrainConfig:
     training: Any = None
     optimizer: Any = None
     seed: int = setting(0, "of weights and pairs", shapes="weights", least=0, most=MOST_SEED)
-    steps: int = setting(2000, "in all", shapes="weights", least=1)
+    steps: int = setting(3000, "in all", shapes="weights", least=1)
     lr: float = setting(
         3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights", least=0
     )
