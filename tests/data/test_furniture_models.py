@@ -393,7 +393,13 @@ def test_shards_of_such_scenes_name_the_makers(tmp_path: Path) -> None:
         "prepare",
         *("data=rooms", f"data.root={tmp_path}", f"data.furniture={directory}", "data.workers=1"),
         *("data.size=1", "data.val_size=0", "data.test_size=0", "data.frames=24"),
-        *("data.width=32", "data.height=24", "shards=shards", "shard_chunks=2", "shard_size=2"),
+        *(
+            "data.width=32",
+            "data.height=24",
+            f"shards={tmp_path / 'shards'}",
+            "shard_chunks=2",
+            "shard_size=2",
+        ),
     )
     assert result.status == 0, result.err
-    assert "Oak wardrobe" in Path("shards", ATTRIBUTION).read_text(encoding="utf-8")
+    assert "Oak wardrobe" in (tmp_path / "shards" / ATTRIBUTION).read_text(encoding="utf-8")
