@@ -62,6 +62,24 @@ def test_an_encoder_is_made_and_scored_on_rooms_and_on_a_capture(
         assert torch.equal(network.encoder.state_dict()[name], value)
 
 
+def test_no_steps_score_what_is_there_and_write_nothing(tmp_path: Path) -> None:
+    """As the encoder scored when it had been made."""
+    assert pretrain(*RESNET).status == 0
+    made = tmp_path / "encoder.safetensors"
+    files = sorted(tmp_path.rglob("*"))
+    result = pretrain(*RESNET, "steps=0", f"encoder.weights={made}", "output=other/e.safetensors")
+    assert (result.status, result.err) == (0, "")
+    assert json.loads(result.out.splitlines()[-1].replace("'", '"')) == scores(made)
+    assert sorted(tmp_path.rglob("*")) == files
+
+
+def test_no_steps_score_the_shipped_encoder_by_its_name() -> None:
+    result = pretrain("encoder=efficientnet_lite0", "encoder.weights=rooms", "steps=0")
+    assert result.status == 0
+    found = json.loads(result.out.splitlines()[-1].replace("'", '"'))
+    assert found["val/coarse_top1"] > 0.4  # of 32 candidates; by chance 0.03
+
+
 def test_the_capture_is_scored_and_never_trained_on(tmp_path: Path, box_scene: Path) -> None:
     assert pretrain(*RESNET).status == 0
     without = load_file(tmp_path / "encoder.safetensors")
@@ -87,7 +105,7 @@ def test_a_trunk_from_imagenet_stays_unless_told(
     """With made-up weights in ImageNet's place."""
     start = made_up()
     monkeypatch.setattr(
-        "tf_lab.network.encoders.efficientnet.EfficientNetLite0.imagenet_weights", lambda *_: start
+        "tf_lab.network.encoders.efficientnet.EfficientNetLite0.published_weights", lambda *_: start
     )
     assert pretrain(*EFFICIENT, f"trunk_factor={factor}").status == 0
     state = load_file(tmp_path / "encoder.safetensors")

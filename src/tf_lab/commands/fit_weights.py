@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from torch import nn
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.experiments.provenance import without_places
 from tf_lab.support.files import atomic_path
-from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock
+from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock, score
 
 
 def fit_weights(
@@ -29,7 +29,7 @@ def fit_weights(
     sets: Sequence[str],
     info: dict[str, Any],
 ) -> None:
-    """Train, and write weights, provenance and the last scores.
+    """Train, and write weights, provenance and the last scores; of 0 steps print scores alone.
 
     Args:
         network: whose weights are written.
@@ -41,23 +41,31 @@ def fit_weights(
         sets: names of what is validated on.
         info: what the file says of its making, beside the scores: provenance and config.
     """
+    alone = replace(trainer, devices=1, strategy="auto")
+    if settings.steps == 0:
+        print(_scores(score(module, data, alone), sets))
+        return
     directory = output.with_suffix("")
     with rank_zero_lock(directory, "pre-training"):
         fitted = fit(
             module,
             data,
             directory,
-            replace(trainer, devices=1, strategy="auto"),
+            alone,
             settings,
             loggers=[CSVLogger(directory, name="logs")],
         )
-        scores = {
-            name: round(float(value), 4)
-            for name, value in fitted.callback_metrics.items()
-            if name.partition("/")[0] in sets
-        }
+        scores = _scores(fitted.callback_metrics, sets)
         told = json.dumps(without_places({**info, "scores": scores}))
         with atomic_path(output) as temporary:
             save_file(network.state_dict(), temporary, {"info": told})
         (directory / LAST).unlink(missing_ok=True)
     print(f"{output}: {scores}")
+
+
+def _scores(logged: Mapping[str, Any], sets: Sequence[str]) -> dict[str, float]:
+    return {
+        name: round(float(value), 4)
+        for name, value in logged.items()
+        if name.partition("/")[0] in sets
+    }

@@ -46,7 +46,8 @@ def validation_pairs(scenes: Sequence[Path | Capture], config: PretrainConfig) -
 def run(config: PretrainConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
     output, origin = Path(config.output), provenance()
-    check_file(output)
+    if config.steps:
+        check_file(output)
     L.seed_everything(config.seed, verbose=False)
     made = open_source(config.data).scenes("train", "val")
     splits = {split: [*scenes.values()] for split, scenes in made.items()}
@@ -98,15 +99,16 @@ def _portable(config: PretrainConfig) -> dict[str, Any]:
 def _encoder(config: PretrainConfig) -> tuple[Encoder, float]:
     """The encoder with the weights it starts from, and its trunk's learning rate over the others'.
 
-    ``encoder.weights=rooms`` is what is made here, and starts from none.
+    ``encoder.weights=rooms`` is what is made here, and starts from none, unless it is scored.
     """
     settings = config.encoder
-    if settings.weights == "rooms":
+    if settings.weights == "rooms" and config.steps:
         settings = replace(settings, weights="none")
     encoder = make_encoder(**settings.architecture())
     initialise_encoder(encoder, settings, config.model.name)
     factor = config.trunk_factor
-    return encoder, (0.0 if settings.weights == "imagenet" else 1.0) if factor is None else factor
+    frozen = settings.weights == encoder.PUBLISHED
+    return encoder, (0.0 if frozen else 1.0) if factor is None else factor
 
 
 def _real(config: PretrainConfig) -> Capture:

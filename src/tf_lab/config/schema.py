@@ -107,14 +107,16 @@ class PretrainConfig:
     training: Any = None
     optimizer: Any = None
     seed: int = setting(0, "of weights and pairs", shapes="weights", least=0, most=MOST_SEED)
-    steps: int = setting(3000, "in all", shapes="weights", least=1)
+    steps: int = setting(
+        3000, "in all; 0: score encoder.weights, write nothing", shapes="weights", least=0
+    )
     lr: float = setting(
         3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights", least=0
     )
     trunk_factor: float | None = setting(
         None,
         "the trunk's learning rate over the pyramid's; null: 0 (frozen) if it starts from "
-        "ImageNet, else 1",
+        "what others published (imagenet, xfeat), else 1",
         shapes="weights",
         least=0,
     )

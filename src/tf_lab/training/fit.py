@@ -130,6 +130,15 @@ def fit(
     return made
 
 
+def score(
+    module: L.LightningModule, data: Callable[[], L.LightningDataModule], trainer: TrainerSettings
+) -> dict[str, Any]:
+    """What the validation of a module logs; nothing is trained or written."""
+    made = _trainer(Path(), trainer, FitSettings(1, 1, 1), [], [])
+    made.validate(module, data(), verbose=False)
+    return dict(made.callback_metrics)
+
+
 def _is_ours(last: Path, identity: str | None, module: L.LightningModule) -> bool:
     """Whether a checkpoint is to be resumed from.
 

@@ -31,7 +31,7 @@ from tf_lab.training.state import read_state
 
 SHIPPED = "shipped"
 SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=stereo"  # that it was trained with
-BUILT_IN = ("none", "imagenet", "rooms")  # encoder.weights that are no file
+BUILT_IN = ("none", "imagenet", "xfeat", "rooms")  # encoder.weights that are no file
 # inputs that say nothing before they are trained: weights without them are trained on with them
 ADDED = {"matching": "agreement.", "stereo": "stereo_evidence."}
 OPTIMIZER = "optimizer"  # among the hyperparameters of a state

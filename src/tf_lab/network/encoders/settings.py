@@ -65,15 +65,34 @@ class ResNetSettings(EncoderSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EfficientNetLite0Settings(EncoderSettings):
-    """EfficientNet-Lite0 (Tan and Le 2019), which knows photographs."""
+class MixedPyramidSettings(EncoderSettings):
+    """Those whose pyramid makes maps of a trunk that was trained for something else."""
 
-    name: str = setting("efficientnet_lite0", "the kind of encoder", shapes="weights")
-    top_stride: int = setting(16, "where the trunk ends: 16 or 32", shapes="weights")
     pyramid_channels: int = setting(
         64, "channels inside the pyramid", shapes="weights", least=1, most=8192
     )
 
+
+@dataclass(frozen=True, kw_only=True)
+class EfficientNetLite0Settings(MixedPyramidSettings):
+    """EfficientNet-Lite0 (Tan and Le 2019), which knows photographs."""
+
+    name: str = setting("efficientnet_lite0", "the kind of encoder", shapes="weights")
+    top_stride: int = setting(16, "where the trunk ends: 16 or 32", shapes="weights")
+
     def __post_init__(self) -> None:
         if self.top_stride not in (16, 32):
             raise TFLabError(f"encoder.top_stride={self.top_stride}: choose 16 or 32")
+
+
+@dataclass(frozen=True, kw_only=True)
+class XFeatSettings(MixedPyramidSettings):
+    """XFeat (Potje et al. 2024), which matches photographs."""
+
+    name: str = setting("xfeat", "the kind of encoder", shapes="weights")
+    weights: str = setting(
+        "xfeat",
+        "to start from: xfeat, rooms (ours, pre-trained on the rooms), none, or a file",
+        shapes="weights",
+        kind="source",
+    )

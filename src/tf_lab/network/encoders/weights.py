@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
 import torch
@@ -38,14 +39,35 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
     return state
 
 
+def packaged_weights(word: str, package: str, file: str, install: str) -> dict[str, Tensor]:
+    """Those that a Python package carries, which is not imported.
+
+    Args:
+        word: that ``encoder.weights`` has for them.
+        package: as it is imported.
+        file: in its folder.
+        install: the command that installs it.
+
+    Raises:
+        TFLabError: it is not installed.
+    """
+    spec = importlib.util.find_spec(package)
+    if spec is None or spec.origin is None:
+        raise TFLabError(
+            f"encoder.weights={word}: {package} is not installed; "
+            f"`{install}`, or use encoder.weights=none"
+        )
+    return read_state_dict(Path(spec.origin).parent / file)
+
+
 def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
     """Initialise an encoder.
 
     Args:
         encoder: changed in place.
-        source: "none" (random), "imagenet" (see the kinds of encoders), "rooms" (ours, pre-trained
-            on the rooms' train split, ``shipped``), or a path to a state dict (.pth with the keys
-            of ImageNet's weights, or .safetensors).
+        source: "none" (random), the encoder's word for what others published (`PUBLISHED`), "rooms"
+            (ours, pre-trained on the rooms' train split, ``shipped``), or a path to a state dict
+            (.pth with the keys of the published weights, or .safetensors).
         shipped: the file behind "rooms" for this model size.
 
     Raises:
@@ -53,8 +75,8 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
     """
     if source == "none":
         return
-    if source == "imagenet":
-        state = encoder.imagenet_weights()
+    if source == encoder.PUBLISHED:
+        state = encoder.published_weights()
     elif source == "rooms":
         if not shipped.is_file():
             model, _, kind = shipped.stem.removesuffix("-encoder").partition("-")
