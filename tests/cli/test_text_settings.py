@@ -59,6 +59,8 @@ def test_as_it_stands(text: str) -> None:
         ("pretrain", "data.root", ()),
         ("pretrain", "real", ()),
         ("train", "init", ()),
+        ("train", "init_encoder", ("init=shipped",)),
+        ("pretrain", "like", ()),
         ("prepare", "shards", ()),
         ("prepare", "data.root", ("data=captures",)),
         ("prepare", "data.scenes", ("data=captures", "data.root=a")),

@@ -80,6 +80,28 @@ def test_no_steps_score_the_shipped_encoder_by_its_name() -> None:
     assert found["val/coarse_top1"] > 0.4  # of 32 candidates; by chance 0.03
 
 
+def test_features_are_turned_to_be_like_anothers(tmp_path: Path) -> None:
+    """Of no steps, too: an encoder that is told to be like itself stays as it is."""
+    assert pretrain(*RESNET).status == 0
+    first = tmp_path / "encoder.safetensors"
+    one = first.rename(tmp_path / "one.safetensors")
+    assert pretrain(*RESNET, "seed=1", "output=two.safetensors").status == 0
+    two = tmp_path / "two.safetensors"
+    same = pretrain(*RESNET, "steps=0", f"encoder.weights={one}", f"like={one}")
+    assert "cosine to the other's features: {'coarse': 1.0, 'fine': 1.0}" in same.out
+    for name, value in load_file(first).items():
+        torch.testing.assert_close(value, load_file(one)[name], rtol=0, atol=1e-5)
+    none = ("seed=1", "steps=0")  # the seed draws what is scored
+    assert pretrain(*RESNET, *none, f"encoder.weights={two}", f"like={one}").status == 0
+    assert scores(first) == scores(two)
+    changed = [k for k, v in load_file(first).items() if not torch.equal(v, load_file(two)[k])]
+    assert {name.partition(".")[0] for name in changed} == {"coarse_head", "fine_head"}
+    with safe_open(first, framework="np") as file:
+        assert json.loads(file.metadata()["info"])["config"]["like"] == "one.safetensors"
+    told = pretrain(*RESNET, "encoder.width=16", f"like={one}")
+    assert told.status == 2 and "one.safetensors: of another encoder" in told.err
+
+
 def test_the_capture_is_scored_and_never_trained_on(tmp_path: Path, box_scene: Path) -> None:
     assert pretrain(*RESNET).status == 0
     without = load_file(tmp_path / "encoder.safetensors")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 from helpers.tiny_jobs import TINY, Result, call, tiny_config, told
 from tf_lab.experiments.identity import training_directory
@@ -121,6 +121,22 @@ def test_of_no_steps_the_weights_are_tested_as_they_are(
     told(train(none, f"init={state}", output), f"init={state}: is at step 2")
 
 
+def test_an_encoder_takes_the_place_of_another(
+    train: Train, checkpoint: Path, tmp_path: Path
+) -> None:
+    """The rest of the weights, and what a run is known by."""
+    prefix, old = "encoder.", load_file(checkpoint)
+    new = {k.removeprefix(prefix): v + 0.1 for k, v in old.items() if k.startswith(prefix)}
+    save_file(new, tmp_path / "new.safetensors")
+    given = (NO_TEST, "optimizer.steps=0", f"init={checkpoint}", f"output={tmp_path}")
+    exchanged, before = train(*given, "init_encoder=new.safetensors"), train(*given)
+    assert (exchanged.status, exchanged.err) == (0, "")
+    assert exchanged.path("training") != before.path("training")
+    for name, value in weights(exchanged).items():
+        expected = new[name.removeprefix(prefix)] if name.startswith(prefix) else old[name]
+        assert torch.equal(value, expected), name
+
+
 def test_inputs_that_say_nothing_at_first_are_added(
     train: Train, checkpoint: Path, tmp_path: Path
 ) -> None:
@@ -183,6 +199,10 @@ def test_encoder_weights_are_known_by_their_content(checkpoint: Path, tmp_path: 
         (["init=nowhere.safetensors"], "nowhere.safetensors: no such checkpoint"),
         (["init=nowhere.ckpt"], "nowhere.ckpt: no such file"),
         (["init=damaged.ckpt"], "damaged.ckpt: damaged"),
+        (["init_encoder=e.safetensors"], "takes the place of init's; without init= give enc"),
+        (["init=STATE", "optimizer.steps=9", "init_encoder=CHECKPOINT"], "a state goes on as it"),
+        (["init=CHECKPOINT", "init_encoder=CHECKPOINT"], "of another encoder: "),
+        (["init=CHECKPOINT", "init_encoder=nowhere.pth"], "nowhere.pth: no such weights file"),
         (["init=STATE"], "is at step 5 of optimizer.steps=5; give more"),
         (["init=STATE", "optimizer.steps=9", "refine=false"], "of another network: refine"),
         (["init=STATE", "optimizer.steps=9", "optimizer.lr=1"], "lr is 0.002 there and 1.0 here"),

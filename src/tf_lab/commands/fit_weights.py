@@ -28,6 +28,7 @@ def fit_weights(
     settings: FitSettings,
     sets: Sequence[str],
     info: dict[str, Any],
+    finish: Callable[[], None] | None = None,
 ) -> None:
     """Train, and write weights, provenance and the last scores; of 0 steps print scores alone.
 
@@ -40,10 +41,17 @@ def fit_weights(
         settings: see `fit`.
         sets: names of what is validated on.
         info: what the file says of its making, beside the scores: provenance and config.
+        finish: what is done to the trained network before it is written; of 0 steps it is written
+            for this.
     """
     alone = replace(trainer, devices=1, strategy="auto")
     if settings.steps == 0:
-        print(_scores(score(module, data, alone), sets))
+        scores = _scores(score(module, data, alone), sets)
+        if finish is None:
+            print(scores)
+            return
+        finish()
+        _write(network, output, {**info, "scores": scores})
         return
     directory = output.with_suffix("")
     with rank_zero_lock(directory, "pre-training"):
@@ -56,11 +64,16 @@ def fit_weights(
             loggers=[CSVLogger(directory, name="logs")],
         )
         scores = _scores(fitted.callback_metrics, sets)
-        told = json.dumps(without_places({**info, "scores": scores}))
-        with atomic_path(output) as temporary:
-            save_file(network.state_dict(), temporary, {"info": told})
+        if finish is not None:
+            finish()
+        _write(network, output, {**info, "scores": scores})
         (directory / LAST).unlink(missing_ok=True)
-    print(f"{output}: {scores}")
+
+
+def _write(network: nn.Module, output: Path, info: dict[str, Any]) -> None:
+    with atomic_path(output) as temporary:
+        save_file(network.state_dict(), temporary, {"info": json.dumps(without_places(info))})
+    print(f"{output}: {info['scores']}")
 
 
 def _scores(logged: Mapping[str, Any], sets: Sequence[str]) -> dict[str, float]:

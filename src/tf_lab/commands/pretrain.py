@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,15 +26,17 @@ from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.provenance import provenance
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders.turning import turn_like
 from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
 from tf_lab.training.fit import FitSettings
-from tf_lab.training.initial import with_encoder_digest
+from tf_lab.training.initial import load_encoder, with_encoder_digest
 from tf_lab.training.matching import Matching
 
 VALIDATION = 20  # batches
 CLIP = 1.0  # largest gradient norm
+TURNED = 25  # batches
 CANDIDATES = 200  # points of the second image, among which one of the first is found again
 
 
@@ -46,7 +49,7 @@ def validation_pairs(scenes: Sequence[Path | Capture], config: PretrainConfig) -
 def run(config: PretrainConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
     output, origin = Path(config.output), provenance()
-    if config.steps:
+    if config.steps or config.like:
         check_file(output)
     L.seed_everything(config.seed, verbose=False)
     made = open_source(config.data).scenes("train", "val")
@@ -55,6 +58,9 @@ def run(config: PretrainConfig) -> None:
     validated: dict[str, Sequence[Path | Capture]] = {"val": splits["val"]}
     if config.real is not None:
         validated["real"] = [_real(config)]
+    finish = None
+    if config.like is not None:
+        finish = partial(_turn, encoder, _other(config, config.like), splits["train"], config.seed)
     module = Matching(
         encoder, config.lr, trunk_factor, config.steps, config.temperature, [*validated]
     )
@@ -77,7 +83,21 @@ def run(config: PretrainConfig) -> None:
         FitSettings(config.steps, every, every, CLIP, _identity(config, splits["train"])),
         [*validated],
         {**origin, "config": _portable(config)},
+        finish,
     )
+
+
+def _other(config: PretrainConfig, file: str) -> Encoder:
+    """The encoder whose features ours are to be like, which is of the same settings."""
+    other = make_encoder(**config.encoder.architecture())
+    load_encoder(other, file)
+    return other
+
+
+def _turn(encoder: Encoder, other: Encoder, scenes: Sequence[Path], seed: int) -> None:
+    images = PairStream(scenes, PairSettings(points=1, epipolar=0), seed)
+    similar = turn_like(encoder, other, (b.images.flatten(0, 1) for b in islice(images, TURNED)))
+    print("cosine to the other's features:", {k: round(v, 3) for k, v in similar.items()})
 
 
 def _identity(config: PretrainConfig, scenes: Sequence[Path]) -> str:
@@ -92,8 +112,8 @@ def _identity(config: PretrainConfig, scenes: Sequence[Path]) -> str:
 def _portable(config: PretrainConfig) -> dict[str, Any]:
     """The config without the paths of this machine: of its files, the names."""
     named = replace(config.encoder, weights=Path(config.encoder.weights).name)
-    real = config.real and Path(config.real).name
-    return {**portable_config(replace(config, encoder=named)), "real": real}
+    files = {name: (path := getattr(config, name)) and Path(path).name for name in ("real", "like")}
+    return {**portable_config(replace(config, encoder=named)), **files}
 
 
 def _encoder(config: PretrainConfig) -> tuple[Encoder, float]:

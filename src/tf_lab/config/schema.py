@@ -89,6 +89,12 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         "on from this state (its last.ckpt) up to optimizer.steps",
         kind="path",
     )
+    init_encoder: str | None = setting(
+        None,
+        "an encoder's file in place of the encoder of init's weights; `pretrain like=` makes one "
+        "that they understand",
+        kind="path",
+    )
     output: str = setting("outputs", "trainings/ and runs/ are made in it", kind="path")
     metrics: dict[str, Any] = setting(
         {}, "beside the paper's, by name, with their settings", shapes="scores"
@@ -108,7 +114,10 @@ class PretrainConfig:
     optimizer: Any = None
     seed: int = setting(0, "of weights and pairs", shapes="weights", least=0, most=MOST_SEED)
     steps: int = setting(
-        3000, "in all; 0: score encoder.weights, write nothing", shapes="weights", least=0
+        3000,
+        "in all; 0: encoder.weights are scored (and turned like=), not trained",
+        shapes="weights",
+        least=0,
     )
     lr: float = setting(
         3e-3, "peak learning rate; 50 steps of warm-up, then cosine to 0", shapes="weights", least=0
@@ -146,6 +155,12 @@ class PretrainConfig:
     )
     real: str | None = setting(
         None, "a capture with depth: scored beside the val split, never trained on", kind="path"
+    )
+    like: str | None = setting(
+        None,
+        "an encoder's file: features are turned to be like its in the end, so that networks "
+        "trained with it can be trained on with this one",
+        kind="path",
     )
     validate_every: int = setting(1000, "steps", least=1)
     output: str = setting(

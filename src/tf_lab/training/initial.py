@@ -23,6 +23,7 @@ from tf_lab.config.schema import TrainConfig
 from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import checkpoint_file, load_network, shipped_checkpoint
+from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.weights import read_state_dict
 from tf_lab.network.network import Network
@@ -43,14 +44,46 @@ def make_network(config: TrainConfig) -> Network:
     start = initial_path(config)
     if start is not None:
         initialise(network, start)
+        if config.init_encoder is not None:
+            load_encoder(network.encoder, config.init_encoder)
     else:
         initialise_encoder(network.encoder, config.encoder, config.model.name)
     return network
 
 
+def load_encoder(encoder: Encoder, file: str) -> None:
+    """Give an encoder the weights of a file; all of them, pyramid and all.
+
+    Raises:
+        TFLabError: it cannot be read, or is of another encoder.
+    """
+    state = read_state_dict(Path(file))
+    own = encoder.state_dict()
+    unlike = [k for k in sorted({*own, *state}) if _shape(own, k) != _shape(state, k)]
+    if unlike:
+        raise TFLabError(
+            f"{file}: of another encoder: {len(unlike)} tensors do not fit (first: {unlike[0]}); "
+            "give a file that `python -m tf_lab.pretrain` made of the same"
+        )
+    encoder.load_state_dict(state)
+
+
+def _shape(state: Mapping[str, Tensor], name: str) -> torch.Size | None:
+    return state[name].shape if name in state else None
+
+
 def initial_path(config: TrainConfig) -> Path | None:
-    """The file that ``init`` names, if it names one; of a training's folder its weights."""
+    """The file that ``init`` names, if it names one; of a training's folder its weights.
+
+    Raises:
+        TFLabError: ``init_encoder`` is given without weights that it belongs to.
+    """
     if not config.init:
+        if config.init_encoder is not None:
+            raise TFLabError(
+                f"init_encoder={config.init_encoder}: takes the place of init's; without init= "
+                "give encoder.weights="
+            )
         return None
     path = shipped_checkpoint() if config.init == SHIPPED else Path(config.init)
     return checkpoint_file(path)
@@ -66,7 +99,15 @@ def with_initial_digests(config: TrainConfig, content: Content) -> Content:
     if path is None:
         return with_encoder_digest(config.encoder, content)
     start = read_state(path) if _is_state(path) else _weights(path)
-    return replace(content, init=_digest(start))
+    content = replace(content, init=_digest(start))
+    if config.init_encoder is None:
+        return content
+    if _is_state(path):
+        raise TFLabError(
+            f"init_encoder={config.init_encoder}: a state goes on as it is; to exchange its "
+            "encoder give init=model.safetensors beside it"
+        )
+    return replace(content, encoder=_digest(read_state_dict(Path(config.init_encoder))))
 
 
 def with_encoder_digest(encoder: EncoderSettings, content: Content) -> Content:

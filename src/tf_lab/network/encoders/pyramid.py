@@ -161,7 +161,7 @@ class Encoder(nn.Module):
 
 
 class FixedStatistics(Encoder):
-    """An encoder whose batch normalisation keeps the statistics it was loaded with, in training too."""
+    """An encoder whose batch normalisation keeps its statistics, in training too."""
 
     def train(self, mode: bool = True) -> Self:
         """Trunk and pyramid, but for the batch normalisation."""
