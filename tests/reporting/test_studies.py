@@ -37,6 +37,13 @@ def test_all_rows_come_in_the_papers_order(tmp_path: Path) -> None:
     assert open_study([runs])[0].rows == [*ROWS]
 
 
+def test_other_rows_come_by_their_names_with_numbers_as_numbers(tmp_path: Path) -> None:
+    for views in (16, 8, 4):
+        write_run(tmp_path, f"select=diverse views={views}", 0, HALF)
+    names = [f"Ours: {views} images, diverse (ours)" for views in (4, 8, 16)]
+    assert open_study([tmp_path])[0].rows == names
+
+
 def test_studies_are_kept_apart(tmp_path: Path) -> None:
     write_study(tmp_path, {"Ours": 0.6, "Ours: 4 images": 0.5})
     write_run(tmp_path, "optimizer.steps=7 data.size=3", 0, HALF)

@@ -17,6 +17,7 @@ from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.reuse import commits_of
 from tf_lab.reporting.paper import ABLATIONS, OURS
 from tf_lab.reporting.results import Run, find_runs
+from tf_lab.support.words import natural
 
 SHOWN_DIFFERENCES = 4
 
@@ -42,9 +43,9 @@ class Study:
 
     @cached_property
     def rows(self) -> list[str]:
-        """The rows that have runs: the paper's in its order, then any others."""
+        """The rows that have runs: the paper's in its order, then any others by their names."""
         found = {row for row, _ in self.runs}
-        others = sorted(found.difference(ABLATIONS, (OURS,)))
+        others = sorted(found.difference(ABLATIONS, (OURS,)), key=natural)
         return [row for row in (*ABLATIONS, OURS, *others) if row in found]
 
     @property

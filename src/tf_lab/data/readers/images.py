@@ -13,6 +13,7 @@ from PIL import Image
 from tf_lab.data.capture import upright_size
 from tf_lab.data.lens import Camera
 from tf_lab.errors import TFLabError
+from tf_lab.support.words import natural
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff")
@@ -50,13 +51,7 @@ def _files(directory: Path, suffixes: Sequence[str]) -> list[Path]:
 
 def natural_order(path: PurePath) -> tuple[list[list[tuple[str, int, str]]], str]:
     """A key to sort paths by, folder by folder, with the numbers in them as numbers."""
-    return [_natural(part) for part in (*path.parent.parts, path.stem)], str(path)
-
-
-def _natural(text: str) -> list[tuple[str, int, str]]:
-    # alternating words and digits; of two numbers, that with more digits is larger
-    parts = ((word.lower(), digits) for word, digits in re.findall(r"(\D*)(\d*)", text))
-    return [(word, len(d.lstrip("0")) if d else -1, d.lstrip("0")) for word, d in parts]
+    return [natural(part) for part in (*path.parent.parts, path.stem)], str(path)
 
 
 def frame_names(files: Sequence[PurePath]) -> list[str]:
