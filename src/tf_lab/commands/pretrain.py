@@ -52,7 +52,8 @@ def run(config: PretrainConfig) -> None:
     if config.steps or config.like:
         check_file(output)
     L.seed_everything(config.seed, verbose=False)
-    made = open_source(config.data).scenes("train", "val")
+    needed = ("train", "val") if config.steps or config.like else ("val",)
+    made: dict[str, dict[str, Path]] = {"train": {}, **open_source(config.data).scenes(*needed)}
     splits = {split: [*scenes.values()] for split, scenes in made.items()}
     encoder, trunk_factor = _encoder(config)
     validated: dict[str, Sequence[Path | Capture]] = {"val": splits["val"]}
