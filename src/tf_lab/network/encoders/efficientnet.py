@@ -68,7 +68,6 @@ class EfficientNetLite0(FixedStatistics):
     """
 
     MEAN, STD = (0.5, 0.5, 0.5), (0.5, 0.5, 0.5)
-    PUBLISHED = "imagenet"
 
     def __init__(self, top_stride: int, **maps: Any) -> None:
         super().__init__()

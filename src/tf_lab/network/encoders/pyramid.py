@@ -51,7 +51,7 @@ class Encoder(nn.Module):
 
     MEAN: ClassVar[tuple[float, float, float]]
     STD: ClassVar[tuple[float, float, float]]
-    PUBLISHED: ClassVar[str]
+    PUBLISHED: ClassVar[str] = "imagenet"
     channels: dict[str, int]
     mean: Tensor
     std: Tensor

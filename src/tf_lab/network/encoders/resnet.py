@@ -65,7 +65,6 @@ class ResNet(Encoder):
     """
 
     MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet's
-    PUBLISHED = "imagenet"
 
     def __init__(
         self,
