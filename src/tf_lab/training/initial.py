@@ -23,16 +23,15 @@ from tf_lab.config.schema import TrainConfig
 from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import checkpoint_file, load_network, shipped_checkpoint
-from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.encoders.settings import EncoderSettings
-from tf_lab.network.encoders.weights import read_state_dict
+from tf_lab.network.encoders.weights import load_encoder, read_state_dict, weights_file
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.state import read_state
 
 SHIPPED = "shipped"
 SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=stereo"  # that it was trained with
-BUILT_IN = ("none", "imagenet", "xfeat", "rooms")  # encoder.weights that are no file
 # inputs that say nothing before they are trained: weights without them are trained on with them
 ADDED = {"matching": "agreement.", "stereo": "stereo_evidence."}
 OPTIMIZER = "optimizer"  # among the hyperparameters of a state
@@ -45,31 +44,10 @@ def make_network(config: TrainConfig) -> Network:
     if start is not None:
         initialise(network, start)
         if config.init_encoder is not None:
-            load_encoder(network.encoder, config.init_encoder)
+            load_encoder(network.encoder, Path(config.init_encoder))
     else:
         initialise_encoder(network.encoder, config.encoder, config.model.name)
     return network
-
-
-def load_encoder(encoder: Encoder, file: str) -> None:
-    """Give an encoder the weights of a file; all of them, pyramid and all.
-
-    Raises:
-        TFLabError: it cannot be read, or is of another encoder.
-    """
-    state = read_state_dict(Path(file))
-    own = encoder.state_dict()
-    unlike = [k for k in sorted({*own, *state}) if _shape(own, k) != _shape(state, k)]
-    if unlike:
-        raise TFLabError(
-            f"{file}: of another encoder: {len(unlike)} tensors do not fit (first: {unlike[0]}); "
-            "give a file that `python -m tf_lab.pretrain` made of the same"
-        )
-    encoder.load_state_dict(state)
-
-
-def _shape(state: Mapping[str, Tensor], name: str) -> torch.Size | None:
-    return state[name].shape if name in state else None
 
 
 def initial_path(config: TrainConfig) -> Path | None:
@@ -116,9 +94,8 @@ def with_encoder_digest(encoder: EncoderSettings, content: Content) -> Content:
     Raises:
         TFLabError: it cannot be read.
     """
-    if encoder.weights in BUILT_IN:
-        return content
-    return replace(content, encoder=_digest(read_state_dict(Path(encoder.weights))))
+    file = weights_file(encoder.weights, ENCODERS[encoder.name].load())
+    return content if file is None else replace(content, encoder=_digest(read_state_dict(file)))
 
 
 def initial_state(config: TrainConfig) -> Path | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -12,6 +13,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import PYRAMID, Encoder
 from tf_lab.network.finite import check_finite
 
+RANDOM, ROOMS = "none", "rooms"  # words of every kind of encoder, beside its `PUBLISHED`
 MOST_SHARED = 16  # tensors may share what is stored
 
 
@@ -60,6 +62,23 @@ def packaged_weights(word: str, package: str, file: str, install: str) -> dict[s
     return read_state_dict(Path(spec.origin).parent / file)
 
 
+def weights_file(source: str, encoder: type[Encoder]) -> Path | None:
+    """The file that ``encoder.weights`` names; None if it is a word of this kind of encoder.
+
+    Raises:
+        TFLabError: it is neither.
+    """
+    words = (RANDOM, ROOMS, encoder.PUBLISHED)
+    if source in words:
+        return None
+    if not Path(source).is_file():
+        raise TFLabError(
+            f"encoder.weights={source}: no such weights file; give one, or {RANDOM}, {ROOMS} or "
+            f"{encoder.PUBLISHED}, which this encoder knows"
+        )
+    return Path(source)
+
+
 def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
     """Initialise an encoder.
 
@@ -73,11 +92,14 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
     Raises:
         TFLabError: no weights can be had, or they are of another architecture.
     """
-    if source == "none":
+    if source == RANDOM:
         return
-    if source == encoder.PUBLISHED:
+    file = weights_file(source, type(encoder))
+    if file is not None:
+        state = read_state_dict(file)
+    elif source == encoder.PUBLISHED:
         state = encoder.published_weights()
-    elif source == "rooms":
+    else:
         if not shipped.is_file():
             model, _, kind = shipped.stem.removesuffix("-encoder").partition("-")
             words = f"model={model} encoder={kind}" if kind else f"model={model}"
@@ -87,8 +109,6 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
                 "(encoder.weights=FILE), or use encoder.weights=none"
             )
         state = read_state_dict(shipped)
-    else:
-        state = read_state_dict(Path(source))
     state = encoder.trunk_of(state)
     own = encoder.state_dict()
     unknown = [k for k, v in state.items() if k not in own or own[k].shape != v.shape]
@@ -105,3 +125,24 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
             f"(first: {missing[0]}); use weights of the same encoder, or encoder.weights=none"
         )
     encoder.load_state_dict(state, strict=False)
+
+
+def load_encoder(encoder: Encoder, file: Path) -> None:
+    """Give an encoder all weights of a file that was made of the same, its pyramid's, too.
+
+    Raises:
+        TFLabError: it cannot be read, or is of another encoder.
+    """
+    state = read_state_dict(file)
+    own = encoder.state_dict()
+    unlike = [k for k in sorted({*own, *state}) if _shape(own, k) != _shape(state, k)]
+    if unlike:
+        raise TFLabError(
+            f"{file}: of another encoder: {len(unlike)} tensors do not fit (first: {unlike[0]}); "
+            "give a file that `python -m tf_lab.pretrain` made of the same"
+        )
+    encoder.load_state_dict(state)
+
+
+def _shape(state: Mapping[str, Tensor], name: str) -> torch.Size | None:
+    return state[name].shape if name in state else None
