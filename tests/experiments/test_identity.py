@@ -27,9 +27,9 @@ TEST_TIME = (
 )
 NEITHER = (
     *("data.root", "data.workers", "data.val_size", "output"),
-    *("launcher.jobs", "launcher.gpus", "launcher.cpus", "callbacks"),
+    *("launcher.jobs", "launcher.gpus", "launcher.cpus"),
     *("logger._target_", "logger.project", "logger.offline", "logger.others"),
-    *("trainer.workers", "trainer.accelerator", "trainer.compile"),
+    *("trainer.workers", "trainer.accelerator", "trainer.compile", "trainer.max_time"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),
     *("training.maps_memory", "init", "init_encoder", "data.furniture"),
@@ -63,7 +63,7 @@ def changed(name: str, settings: Any = DEFAULT) -> Any:
     elif isinstance(value, tuple | list):
         new = value[:-1]
     elif isinstance(value, dict):
-        new = {**value, "more": 1}
+        new = {**value, "more": {"_target_": "package.Part"}}
     else:
         new = f"{value}0" if isinstance(value, str) else (value or 0) + 1
     if isinstance(settings, dict):
@@ -151,6 +151,15 @@ def test_options_change_the_keys_as_their_settings_do() -> None:
 def test_whatever_changes_the_batch_makes_a_new_training() -> None:
     for option in ("trainer.devices=2", "+trainer.others.accumulate_grad_batches=2"):
         assert keys(composed(option))[0] != keys(DEFAULT)[0], option
+
+
+def test_a_callback_that_may_change_the_weights_makes_a_new_training() -> None:
+    watching = "+callbacks.a._target_=lightning.pytorch.callbacks.DeviceStatsMonitor"
+    for option in ("callbacks=learning_rate", watching):
+        assert keys(composed(option)) == keys(DEFAULT), option
+    averaging = "+callbacks.a._target_=lightning.pytorch.callbacks.StochasticWeightAveraging"
+    one, other = (composed(averaging, f"+callbacks.a.swa_lrs={lr}") for lr in (0.1, 0.2))
+    assert len({keys(config)[0] for config in (DEFAULT, one, other)}) == 3
 
 
 def test_a_run_of_before_rules_can_still_be_read() -> None:

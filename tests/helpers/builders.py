@@ -1,7 +1,10 @@
 """Builders of scenes that go well and badly, in processes of their own."""
 
 import os
+import signal
 from pathlib import Path
+
+import torch
 
 from tf_lab.errors import TFLabError
 
@@ -16,6 +19,16 @@ def build(directory: Path, content: str = "whole") -> None:
 def fail(directory: Path) -> None:
     (directory / "first.txt").write_text("half")
     raise TFLabError("frame-7.jpg: cannot be read")
+
+
+def die(directory: Path) -> None:
+    """As where the system ends a process that takes too much memory."""
+    (directory / "first.txt").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def exhaust(directory: Path) -> None:
+    raise torch.OutOfMemoryError("CUDA out of memory")
 
 
 def crash(directory: Path) -> None:

@@ -63,7 +63,7 @@ def test_mean_and_deviation_over_seeds(study: Study) -> None:
         means.append(statistics.fmean(scene["fscore"] for scene in scenes))
     mean, spread = statistics.fmean(means), statistics.stdev(means)
     assert mean == pytest.approx(0.655)  # as it was made
-    assert cells(main_table(study))["Ours"][5] == f"**{mean:.3f}** ± {spread:.3f}"
+    assert cells(main_table(study))["Ours"][6] == f"**{mean:.3f}** ± {spread:.3f}"
     (record,) = (r for r in records(main_table(study)) if r["row"] == "Ours")
     assert float(record["fscore"]) == pytest.approx(mean, abs=1e-6)
     assert float(record["fscore_deviation"]) == pytest.approx(spread, abs=1e-6)
@@ -79,23 +79,35 @@ def test_the_main_table_is_laid_out_as_the_papers(study: Study) -> None:
         *([*BASELINES], ablations, ["Ours"], [own])
     ]
     found = cells(table)
-    assert found["Atlas"][:6] == ["-"] * 6
-    assert found["Atlas"][6:] == ["7.16", "7.61", "7.38", "0.675", "0.605", "0.636"]
-    assert found[own][5] == "0.350 ± 0.000"
-    assert found[own][6:] == ["-"] * 6
-    assert found["Ours: w/o C2F filter"][5] == "0.631"  # one seed: no deviation
-    assert cells(inputs_table(study))["Ours: w/o view ray"][:6] == ["-"] * 6  # missing
+    assert found["Atlas"][:7] == ["-"] * 7
+    assert found["Atlas"][7:] == ["7.16", "7.61", "7.38", "0.675", "0.605", "0.636"]
+    assert found[own][6] == "0.350 ± 0.000"
+    assert found[own][7:] == ["-"] * 6
+    assert found["Ours: w/o C2F filter"][6] == "0.631"  # one seed: no deviation
+    assert cells(inputs_table(study))["Ours: w/o view ray"][:7] == ["-"] * 7  # missing
+
+
+def test_how_many_seeds_a_row_has_where_they_differ(study: Study, tmp_path: Path) -> None:
+    found = cells(short_table(study))
+    assert (found["Ours"][0], found["Ours: w/o C2F filter"][0]) == ("3", "1")
+    assert "over seeds 0, 1, 2 or some of them of" in main_table(study).caption
+    said = "of one seed they are of scenes alone, and say nothing of another training"
+    assert said in comparison_table(study).caption and said in orderings_table(study).caption
+    write_study(tmp_path, {row: SCORES[row]["fscore"] for row in ROWS})
+    whole = open_study([tmp_path])[0]
+    assert "Seeds" not in [column.title for column in main_table(whole).columns]
+    assert said not in comparison_table(whole).caption + orderings_table(whole).caption
 
 
 def test_the_best_is_bold(study: Study) -> None:
     """In the paper's columns just what the paper has in bold; in ours the made-up best."""
     found = cells(main_table(study))
     bold = {(row, i) for row, line in found.items() for i, c in enumerate(line) if "**" in c}
-    assert {(row, i - 6) for row, i in bold if i >= 6} == {
+    assert {(row, i - 7) for row, i in bold if i >= 7} == {
         *(("NeuralRecon", 0), ("DeepVideoMVS", 1), ("Ours", 2)),
         *(("Ours", 3), ("NeuralRecon", 4), ("Ours", 5)),
     }
-    assert {(row, i) for row, i in bold if i < 6} == {("Ours", i) for i in range(6)}
+    assert {(row, i) for row, i in bold if i < 7} == {("Ours", i) for i in range(1, 7)}
 
 
 def test_equals_are_equally_good(tmp_path: Path) -> None:
@@ -171,12 +183,12 @@ def test_metrics_that_only_some_runs_have(tmp_path: Path) -> None:
     assert remarks == []
     for make in (short_table, main_table):
         columns = [column.title for column in make(study).columns]
-        assert columns[1:8] == ["Acc", "Compl", "Chamfer", "Prec", "Recall", "F-score", "Normals"]
-        assert make(study).columns[7].better == "up"
+        assert columns[2:9] == ["Acc", "Compl", "Chamfer", "Prec", "Recall", "F-score", "Normals"]
+        assert make(study).columns[8].better == "up"
         found = cells(make(study))
-        assert found["Ours"][4].strip("*") == "0.460"  # of one seed
-        assert found["Ours"][6] == "0.850 ± 0.071"  # of two
-        assert found["Ours: w/o TRSF, avg"][5:7] == ["-", "-"]
+        assert found["Ours"][5].strip("*") == "0.460"  # of one seed
+        assert found["Ours"][7] == "0.850 ± 0.071"  # of two
+        assert found["Ours: w/o TRSF, avg"][6:8] == ["-", "-"]
     assert cells(seed_table(study))["Ours: w/o TRSF, avg"] == ["-"] * 4
     assert cells(scene_table(study))["Ours: w/o TRSF, avg"] == ["-"]
     assert cells(comparison_table(study))["Ours: w/o TRSF, avg"][1:6] == ["-"] * 5

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from helpers.textured_wall import frame, wall_depth
 from tf_lab.stereo.depth import SETTINGS, DepthSequence, depth_of, small_view
@@ -42,6 +43,12 @@ def test_only_earlier_frames_count() -> None:
     for i in range(4):
         np.testing.assert_array_equal(depth_of(views[: i + 1], i), every[i])
         np.testing.assert_array_equal(depth_of(views, i), every[i])
+
+
+def test_low_precision_elsewhere_does_not_round_it() -> None:
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = sequence()[-1]
+    np.testing.assert_array_equal(rounded, sequence()[-1])
 
 
 def test_larger_images_are_made_small() -> None:

@@ -144,3 +144,8 @@ def test_only_a_process_that_was_started_as_a_child_ends_with_its_parent(
     assert watched == [os.getpid()]
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     assert PARENT not in os.environ
+    with as_parent():
+        with as_parent():  # as another thread's, that ends first
+            pass
+        assert os.environ[PARENT] == str(os.getpid())
+    assert PARENT not in os.environ

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from helpers.builders import build, crash, fail
+from helpers.builders import build, crash, die, exhaust, fail
 from tf_lab.errors import TFLabError
 from tf_lab.support.tasks import SceneJob, prepare_scenes
 
 
 def jobs(root: Path, names: Sequence[str]) -> list[SceneJob]:
-    builders = {"bad": fail, "bug": crash}
+    builders = {"bad": fail, "bug": crash, "large": die, "gpu": exhaust}
     return [SceneJob(root / n, builders.get(n.split("_")[0], build)) for n in names]
 
 
@@ -48,6 +48,18 @@ def test_a_bug_in_a_builder_is_not_swallowed(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="a bug"):
         prepare_scenes(jobs(tmp_path, ["bug", "good"]), "building", workers=1)
     assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "good"]
+
+
+def test_a_process_that_dies_takes_no_other_scene_with_it(tmp_path: Path) -> None:
+    names = ["good_1", "large", "good_2", "gpu", "good_3", "good_4"]
+    with pytest.raises(TFLabError) as caught:
+        prepare_scenes(jobs(tmp_path, names), "building", workers=2)
+    message = str(caught.value)
+    assert message.startswith("2 of 6 scenes failed")
+    assert "large: its process ran out of memory" in message
+    assert "gpu: its process ran out of memory" in message
+    for name in names:
+        assert (tmp_path / name).is_dir() == name.startswith("good")
 
 
 def test_nothing_missing_starts_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

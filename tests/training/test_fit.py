@@ -1,6 +1,8 @@
 """Fitting any module: interrupted, resumed, of other settings, or from a checkpoint of old."""
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +71,7 @@ def test_an_interrupted_one_goes_on_to_the_same_end(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fitted(tmp_path / "parts", StopAt(5))
     rest = fitted(tmp_path / "parts")
-    assert rest.seen == [4.0, 5.0, 6.0, 7.0, 8.0]  # from the last save on
+    assert rest.seen == [5.0, 6.0, 7.0, 8.0]
     assert torch.equal(rest.slope, whole.slope)
     saved = torch.load(tmp_path / "parts" / "last.ckpt", weights_only=True)
     assert saved["global_step"] == 9
@@ -92,17 +94,62 @@ def test_one_of_another_identity_starts_anew(
     assert "of other settings or data; this training starts anew" in capsys.readouterr().out
     with pytest.raises(KeyboardInterrupt):
         fitted(tmp_path / "same", StopAt(5), identity="one")
-    assert fitted(tmp_path / "same", identity="one").seen[0] == 4
+    assert fitted(tmp_path / "same", identity="one").seen[0] == 5
 
 
 def test_it_goes_on_from_a_state_elsewhere_only_without_one_of_its_own(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fitted(tmp_path / "other", StopAt(7))
     elsewhere: Callable[[], Path] = lambda: tmp_path / "other" / "last.ckpt"  # noqa: E731
-    assert fitted(tmp_path / "new", start=elsewhere).seen == [6.0, 7.0, 8.0]
+    assert fitted(tmp_path / "new", start=elsewhere).seen == [7.0, 8.0]
     with pytest.raises(KeyboardInterrupt):
         fitted(tmp_path / "own", StopAt(3))
-    assert fitted(tmp_path / "own", start=elsewhere).seen[0] == 2
+    assert fitted(tmp_path / "own", start=elsewhere).seen[0] == 3
+
+
+def test_a_limit_of_time_is_of_a_session_and_loses_nothing(tmp_path: Path) -> None:
+    class Slow(Line):
+        def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:
+            time.sleep(0.6)
+            return super().training_step(batch, batch_idx)
+
+    limited = replace(CPU, max_time="00:00:00:01")
+    seen: list[float] = []
+    for _ in range(9):
+        line = Slow()
+        try:
+            fit(line, Numbers, tmp_path, limited, FitSettings(steps=4, save_every=9), loggers=[])
+        except KeyboardInterrupt:
+            seen += line.seen
+        else:
+            break
+    assert [*seen, *line.seen] == [0.0, 1.0, 2.0, 3.0] and len(seen) >= 2
+
+
+def test_validations_are_steps_apart_whatever_a_step_is_made_of(tmp_path: Path) -> None:
+    at: list[int] = []
+
+    class Validated(Line):
+        def validation_step(self, batch: Tensor, batch_idx: int) -> None:
+            at.append(self.trainer.global_step)
+
+    class Both(Numbers):
+        def val_dataloader(self) -> DataLoader[float]:
+            return DataLoader([0.0], batch_size=None)  # type: ignore[arg-type]
+
+    settings = FitSettings(steps=6, save_every=9, validate_every=3)
+    twice = replace(CPU, others={"accumulate_grad_batches": 2})
+    fit(Validated(), Both, tmp_path, twice, settings, loggers=[])
+    assert at == [3, 6]
+
+
+@pytest.mark.parametrize(
+    ("name", "cure"),
+    [("max_time", "trainer.max_time"), ("limit_train_batches", "optimizer.steps, or data.size")],
+)
+def test_what_a_setting_of_ours_is_for(name: str, cure: str) -> None:
+    with pytest.raises(TFLabError, match=f"^trainer.others.{name}: give {cure} instead$"):
+        TrainerSettings(others={name: 5})
 
 
 def test_what_is_wrong_with_the_trainer_is_told_before_data_is_made(tmp_path: Path) -> None:

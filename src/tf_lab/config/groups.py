@@ -103,6 +103,14 @@ class OptimizerSettings:
             )
 
 
+ELSEWHERE = {  # arguments of lightning.Trainer that a setting of ours is for
+    "max_time": "trainer.max_time",
+    "max_steps": "optimizer.steps",
+    "limit_train_batches": "optimizer.steps, or data.size",
+    "overfit_batches": "data.size",
+}
+
+
 @dataclass(frozen=True)
 class TrainerSettings:
     """On what and how a training computes: arguments of lightning.Trainer, and two of ours."""
@@ -113,11 +121,20 @@ class TrainerSettings:
     strategy: str = setting("auto", "ddp for several devices")
     compile: bool = setting(False, "torch.compile")
     workers: int = setting(1, "loader processes a device", least=0)
+    max_time: str | None = setting(
+        None,
+        "stop after so long (days:hours:minutes:seconds), as 00:08:00:00; the same command goes on",
+    )
     others: dict[str, Any] = setting(
         {},
-        "more arguments of lightning.Trainer, as +trainer.others.max_time=00:08:00:00",
+        "more arguments of lightning.Trainer, as +trainer.others.accumulate_grad_batches=2",
         shapes="weights",
     )
+
+    def __post_init__(self) -> None:
+        for name, cure in ELSEWHERE.items():
+            if name in self.others:
+                raise TFLabError(f"trainer.others.{name}: give {cure} instead")
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,8 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     logger: LoggerSettings = field(default_factory=LoggerSettings)
     callbacks: dict[str, dict[str, Any]] = setting(
         {},
-        "more callbacks, as +callbacks.any._target_=lightning.pytorch.callbacks.DeviceStatsMonitor",
+        "more callbacks, as +callbacks.any._target_=lightning.pytorch.callbacks.DeviceStatsMonitor"
+        " (one that may change the weights makes another training)",
     )
     launcher: LauncherSettings = field(default_factory=LauncherSettings)
     seed: int = setting(

@@ -34,6 +34,7 @@ from tf_lab.geometry import (
 
 TRUNCATION = 0.10  # metres; near-surface samples lie within it
 ATTEMPTS = 100  # placements of a chunk before giving up
+MOST_OPEN = 256  # scenes
 _PROBES = VoxelGrid((0.0, 0.0, 0.0), COARSE, (5, 5, 5)).centers().reshape(-1, 3)
 _RADIUS = float((_PROBES - CHUNK / 2).norm(dim=-1).max())
 _VOXELS = torch.cat([grid.centers().reshape(-1, 3) for grid in (COARSE_GRID, FINE_GRID)])
@@ -190,7 +191,17 @@ class ChunkSampler:
         )
 
 
-_open = lru_cache(maxsize=256)(ChunkScene)
+def _most_open() -> int:
+    """Scenes that a process keeps open: with 3 files each, well below what the system allows."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return MOST_OPEN
+    allowed, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return MOST_OPEN if allowed == resource.RLIM_INFINITY else min(MOST_OPEN, max(1, allowed // 8))
+
+
+_open = lru_cache(maxsize=_most_open())(ChunkScene)
 
 
 class ChunkStream(IterableDataset[ChunkBatch]):

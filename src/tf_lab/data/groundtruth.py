@@ -30,7 +30,7 @@ from tf_lab.data.chunk_weights import Structure, chunk_candidates
 from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse_in_slabs, join, slabs
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid
-from tf_lab.support.arrays import read_array, read_arrays
+from tf_lab.support.arrays import TooManyFilesError, read_array, read_arrays
 from tf_lab.support.text import read_numbers
 
 VERSION = 3  # changes whenever the output for the same depth does
@@ -206,6 +206,8 @@ class GroundTruth:
                 raise ValueError("world2grid.txt is no grid's")
             if self.centers.shape != (len(self.weight), 3):
                 raise ValueError("centres and weights in chunks.npz do not fit")
+        except TooManyFilesError:
+            raise
         except Exception as error:  # any damage: missing, truncated, wrong shape
             raise TFLabError(
                 f"{directory}: the ground truth is damaged ({error}); {CURE}"

@@ -20,6 +20,7 @@ from tf_lab.online.views import POLICIES
 from tf_lab.support.settings import shaping
 
 PAPER_VIEWS = 16
+WATCHING = ("LearningRateMonitor", "DeviceStatsMonitor", "Timer")  # callbacks that change nothing
 
 
 def training_identity(config: TrainConfig) -> dict[str, Any]:
@@ -27,7 +28,12 @@ def training_identity(config: TrainConfig) -> dict[str, Any]:
     identity = shaping(config, "weights")
     if config.content.encoder is not None:  # a file: known by what is in it
         del identity["encoder"]["weights"]
-    return identity
+    callbacks = [
+        given
+        for given in config.callbacks.values()
+        if str(given.get("_target_")).rpartition(".")[2] not in WATCHING
+    ]
+    return {**identity, "callbacks": callbacks} if callbacks else identity
 
 
 def evaluation_identity(config: TrainConfig) -> dict[str, Any]:

@@ -104,9 +104,10 @@ def run_jobs(jobs: SweepJobs, composed: Sequence[DictConfig], at_once: int) -> N
         for config, hydra in work:
             run_job(jobs, config, hydra, children)
         return
+    shared = {"OMP_NUM_THREADS": str(max(1, (os.cpu_count() or 1) // at_once)), **os.environ}
     with ThreadPoolExecutor(at_once) as pool:
         try:
-            running = [pool.submit(_run_beside, jobs, *job, children, at_once) for job in work]
+            running = [pool.submit(_run_beside, jobs, *job, children, shared) for job in work]
             for future in running:
                 future.result()
         except BaseException:
@@ -115,11 +116,12 @@ def run_jobs(jobs: SweepJobs, composed: Sequence[DictConfig], at_once: int) -> N
             raise
 
 
-def _run_beside(jobs: SweepJobs, config: Any, hydra: Any, children: Children, at_once: int) -> None:
-    """Do a job beside others of this machine."""
-    cores = {"OMP_NUM_THREADS": str(max(1, (os.cpu_count() or 1) // at_once))}
+def _run_beside(
+    jobs: SweepJobs, config: Any, hydra: Any, children: Children, shared: Mapping[str, str]
+) -> None:
+    """Do a job beside others of this machine, whose environment is ``shared``."""
     with one_gpu() if config.trainer.devices == 1 else nullcontext() as gpu:
-        variables = {**cores, **os.environ, **(gpu or {})}
+        variables = {**shared, **(gpu or {})}
         run_job(jobs, config, hydra, children, variables, f"{hydra.job.num}: ")
 
 

@@ -66,7 +66,7 @@ def _draw_line(
     """
     places = np.array([*values]) * 2**shift
     means = [value.mean() for value in values.values()]
-    spread = [deviation(value) or np.nan for value in values.values()]
+    spread = [_bar(value) for value in values.values()]
     bars = axes.errorbar(places, means, yerr=spread, label=name, color=color, capsize=3, zorder=3)
     bars[0].set(marker=marker, markersize=5, linewidth=1.6)
     for place, seeds in zip(places, values.values(), strict=True):
@@ -82,7 +82,7 @@ def rows_chart(study: Study) -> Figure:
     axes = figure.subplots()
     found = {i: s for i, row in enumerate(rows) if len(s := study.scores(row).mean(1))}
     means = [seeds.mean() for seeds in found.values()]
-    spread = [deviation(seeds) or np.nan for seeds in found.values()]
+    spread = [_bar(seeds) for seeds in found.values()]
     axes.errorbar(means, [*found], xerr=spread, fmt="o", color=BLUE, capsize=3, label=MEAN)
     dots = [(score, i) for i, seeds in found.items() for score in seeds if len(seeds) > 1]
     if dots:
@@ -108,9 +108,16 @@ def rows_chart(study: Study) -> Figure:
     return figure
 
 
+def _bar(values: np.ndarray) -> float:
+    """Half the length of an error bar; NaN, which draws none, of a single value."""
+    found = deviation(values)
+    return float("nan") if found is None else found
+
+
 def _repetitions(study: Study) -> str:
-    seeds, scenes = len(study.seeds()), len(study.scenes)
-    return f"{counted(seeds, 'seed')}, {counted(scenes, 'test scene')}"
+    least, most = study.repetitions
+    seeds = counted(most, "seed") if least == most else f"{least} to {counted(most, 'seed')}"
+    return f"{seeds}, {counted(len(study.scenes), 'test scene')}"
 
 
 def caption_of(what: str, study: Study) -> str:

@@ -73,6 +73,12 @@ class Study:
         scenes = (scores for run in self.runs.values() for scores in run.scenes.values())
         return metric_columns(name for scores in scenes for name in scores)
 
+    @property
+    def repetitions(self) -> tuple[int, int]:
+        """The least and the most seeds that a row has runs of."""
+        counts = [len(self.seeds(row)) for row in self.rows]
+        return min(counts), max(counts)
+
     def seeds(self, *rows: str, metric: str | None = None) -> list[int]:
         """The seeds for which there are runs of all these rows (of any row, without one).
 

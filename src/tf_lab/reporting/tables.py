@@ -19,6 +19,8 @@ from tf_lab.reporting.studies import Study
 ROW = Column("row", "Method")
 HERE, THERE = "This study", "Paper"
 SCORE = Column("fscore", "F-score", "up")
+SEEDS = Column("seeds", "Seeds")
+ONE_SEED = "of one seed they are of scenes alone, and say nothing of another training"
 INTERVAL = (
     Column("difference", "Difference"),
     Column("low", "95 % from"),
@@ -41,7 +43,7 @@ def inputs_table(study: Study) -> Table:
 
 def short_table(study: Study) -> Table:
     """All rows that were run, with the paper's F-score only: fits a terminal."""
-    columns = (ROW, *_metrics(study.metrics), Column("paper", "Paper's F"))
+    columns = (ROW, *_seeds(study), *_metrics(study.metrics), Column("paper", "Paper's F"))
     body: list[Row] = [
         (row, *_mean_cells(study, row), Number(SCORES.get(row, {}).get("fscore")))
         for row in study.rows
@@ -51,12 +53,12 @@ def short_table(study: Study) -> Table:
 
 def _beside_paper(study: Study, name: str, groups: Sequence[Sequence[str]]) -> Table:
     theirs = [replace(c, key=f"paper_{c.key}") for c in _metrics(metric_columns(), THERE)]
-    columns = (ROW, *_metrics(study.metrics, HERE), *theirs)
+    columns = (ROW, *_seeds(study), *_metrics(study.metrics, HERE), *theirs)
     body: list[list[Row]] = [
         [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group if study.shows(row)]
         for group in groups
     ]
-    seeds = ", ".join(map(str, study.seeds()))
+    seeds = ", ".join(map(str, study.seeds())) + (" or some of them" if _seeds(study) else "")
     caption = (
         f"Mean and standard deviation over seeds {seeds} of the mean over "
         f"{len(study.scenes)} test scenes; distances in cm. Beside it the paper's figures, which "
@@ -70,9 +72,20 @@ def _metrics(parts: Sequence[MetricPart], span: str = "") -> list[Column]:
     return [Column(p.name, p.heading, better[p.higher_is_better], span) for p in parts]
 
 
-def _mean_cells(study: Study, row: str) -> list[Number]:
-    """Mean and deviation over seeds of each metric; nothing where no run of the row has it."""
-    return [_over_seeds(study.scores(row, p.name).mean(1), p.format) for p in study.metrics]
+def _seeds(study: Study) -> list[Column]:
+    """A column for how many seeds a row has, where they are not as many for all."""
+    least, most = study.repetitions
+    return [] if least == most else [SEEDS]
+
+
+def _mean_cells(study: Study, row: str) -> list[Cell]:
+    """Mean and deviation over seeds of each metric; nothing where no run of the row has it.
+
+    Before them the number of seeds, where there is a column for it.
+    """
+    seeds: list[Cell] = [Number(len(study.seeds(row)) or None, "d") for _ in _seeds(study)]
+    scores = [_over_seeds(study.scores(row, p.name).mean(1), p.format) for p in study.metrics]
+    return [*seeds, *scores]
 
 
 def _over_seeds(means: np.ndarray, form: str = ".3f") -> Number:
@@ -105,7 +118,7 @@ def _with_best(
 
 def comparison_table(study: Study) -> Table:
     """Each row's F-score against ours, paired over seeds and scenes; of one row alone, nothing."""
-    columns = (ROW, Column("seeds", "Seeds"), SCORE, *INTERVAL, Column("paper", "Paper"))
+    columns = (ROW, SEEDS, SCORE, *INTERVAL, Column("paper", "Paper"))
     body: list[Row] = []
     for row in [] if study.alone else study.rows:
         found = difference(study, {row: 1, OURS: -1}) if row != OURS else None
@@ -118,10 +131,14 @@ def comparison_table(study: Study) -> Table:
         body.append((row, str(len(seeds)), score, *differs))
     caption = (
         "F-score of each row against ours: mean difference, 95 % interval and p-value of a crossed "
-        "bootstrap over seeds and test scenes (p-values are not corrected for their number), and "
-        "the paper's difference."
+        "bootstrap over seeds and test scenes (p-values are not corrected for their number"
+        f"{_of_one_seed(study)}), and the paper's difference."
     )
     return Table("comparison", caption, columns, _with_best([body], columns))
+
+
+def _of_one_seed(study: Study) -> str:
+    return f"; {ONE_SEED}" if study.repetitions[0] == 1 else ""
 
 
 def _interval_cells(found: Estimate | None) -> list[Number]:
@@ -135,7 +152,7 @@ def orderings_table(study: Study) -> Table:
     """The orderings: does each hold, how sure is it, and what does that rest on?"""
     columns = (
         Column("claim", "Ordering"),
-        Column("seeds", "Seeds"),
+        SEEDS,
         Column("scenes", "Scenes"),
         *INTERVAL,
         Column("p_corrected", "p, corrected"),
@@ -150,7 +167,8 @@ def orderings_table(study: Study) -> Table:
     caption = (
         "The orderings of the paper's F-scores, and of the selection that is ours. A difference "
         "above zero is as claimed; undecided: the interval includes zero. Each interval and p is "
-        "of one claim by itself; p, corrected, is Holm's for the claims of one block."
+        "of one claim by itself; p, corrected, is Holm's for the claims of one block"
+        f"{_of_one_seed(study)}."
     )
     return Table("orderings", caption, columns, body)
 

@@ -111,6 +111,6 @@ def stereo_depth(view: View, sources: Sequence[View], settings: StereoSettings) 
     if not sources:
         return np.zeros((CHANNELS, *view.grey.shape), np.float32)
     scores = torch.from_numpy(scores_of(view, sources, settings))[None]
-    with torch.inference_mode():
+    with torch.inference_mode(), torch.autocast("cpu", enabled=False):  # as in training's maps
         maps = read_depth(shipped_regularizer()(scores), torch.from_numpy(settings.inverse).float())
     return torch.cat(maps).numpy()

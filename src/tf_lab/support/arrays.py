@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import zipfile
 from pathlib import Path
@@ -11,6 +12,10 @@ import numpy as np
 from tf_lab.errors import TFLabError
 
 MOST_UNPACKED = 2**30  # bytes of an .npz
+
+
+class TooManyFilesError(TFLabError):
+    """As many files are open as the system allows."""
 
 
 def read_array(path: Path, cure: str) -> np.ndarray:
@@ -23,6 +28,13 @@ def read_array(path: Path, cure: str) -> np.ndarray:
         return np.lib.format.open_memmap(path, mode="r")  # its size is held against the file's
     except FileNotFoundError as error:
         raise TFLabError(f"{path}: missing; {cure}") from error
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):  # nothing is wrong with it
+            raise TooManyFilesError(
+                f"{path}: too many open files; allow more (`ulimit -n 4096`), or use fewer "
+                "trainer.workers"
+            ) from error
+        raise TFLabError(f"{path}: cannot be read as an array ({error}); {cure}") from error
     except Exception as error:  # whatever the damage leads to
         raise TFLabError(f"{path}: cannot be read as an array ({error}); {cure}") from error
 

@@ -24,6 +24,7 @@ IMPORTS = "<frozen importlib"  # of the names of the interpreter's files
 TORCHRUN = "TORCHELASTIC_RUN_ID"  # in the environment of what torchrun starts
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent ends
 
+_parents, _parents_lock = 0, threading.Lock()  # blocks of `as_parent`, also in several threads
 _process = 0  # the process whose stop is a line and a status; its forks end with it
 
 
@@ -191,10 +192,16 @@ def as_parent(deaf: bool = True) -> Iterator[None]:
     Args:
         deaf: they don't hear SIGINT, which a terminal sends to all: this process ends them.
     """
-    os.environ[PARENT] = str(os.getpid())
+    global _parents
+    with _parents_lock:
+        _parents += 1
+        os.environ[PARENT] = str(os.getpid())
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT} if deaf else ())
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        os.environ.pop(PARENT, None)
+        with _parents_lock:
+            _parents -= 1
+            if not _parents:
+                os.environ.pop(PARENT, None)

@@ -20,6 +20,8 @@ from tf_lab.support.locks import directory_lock
 from tf_lab.support.progress import progress_bar
 from tf_lab.support.stops import Stopped, as_parent
 
+NO_MEMORY = "its process ran out of memory; use fewer data.workers, or more memory"
+
 
 @dataclass(frozen=True)
 class SceneJob:
@@ -71,6 +73,9 @@ def run_tasks(
 ) -> dict[str, str]:
     """Run named tasks in processes; one that fails does not stop the others.
 
+    Where a process dies (the system's killer, when memory runs out), what is unfinished is tried
+    again in half as many, until it is known whose process dies.
+
     Args:
         tasks: picklable.
         title: for the progress bar.
@@ -81,30 +86,53 @@ def run_tasks(
     """
     workers = min(workers or os.cpu_count() or 1, len(tasks))
     failed: dict[str, str] = {}
-    context = multiprocessing.get_context("spawn")
-    with (
-        progress_bar() as bar,
-        ProcessPoolExecutor(
-            workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)
-        ) as pool,
-    ):
+    unfinished = dict(tasks)
+    with progress_bar() as bar:
         row = bar.add_task(title, total=len(tasks))
+        while unfinished:
+            if not _run_some(unfinished, failed, workers, partial(bar.advance, row)):
+                continue
+            if workers == 1:  # in turn, so that it was the first
+                name = next(iter(unfinished))
+                del unfinished[name]
+                failed[name] = NO_MEMORY
+                bar.advance(row)
+            workers = max(1, workers // 2)
+    return failed
+
+
+def _run_some(
+    unfinished: dict[str, Callable[[], None]],
+    failed: dict[str, str],
+    workers: int,
+    advance: Callable[[], None],
+) -> bool:
+    """Run tasks until all are finished or a process dies; whether one did."""
+    context = multiprocessing.get_context("spawn")
+    died = False
+    with ProcessPoolExecutor(
+        workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)
+    ) as pool:
         try:
             with as_parent():
-                futures = {pool.submit(task): name for name, task in tasks.items()}
+                futures = {pool.submit(task): name for name, task in unfinished.items()}
             for future in as_completed(futures):
                 try:
                     future.result()
+                except BrokenProcessPool:
+                    died = True
+                    continue
                 except TFLabError as error:
                     failed[futures[future]] = str(error)
-                except (MemoryError, BrokenProcessPool):
-                    failed[futures[future]] = "a process ran out of memory; use fewer data.workers"
-                bar.advance(row)
+                except (MemoryError, torch.OutOfMemoryError):
+                    failed[futures[future]] = NO_MEMORY
+                del unfinished[futures[future]]
+                advance()
         except (Stopped, KeyboardInterrupt):  # else the pool would do all that is asked of it
             for process in multiprocessing.active_children():
                 process.kill()
             raise
-    return failed
+    return died
 
 
 def _build(job: SceneJob) -> None:

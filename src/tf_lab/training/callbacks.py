@@ -153,8 +153,12 @@ class TrainingSessions(Callback):
 
 
 def upgraded_callbacks(checkpoint: dict[str, Any]) -> dict[str, Any]:
-    """A checkpoint with the states of callbacks as this version names them."""
+    """A checkpoint with the states of callbacks as this version names them.
+
+    Without the timer's: a limit of time is of one session.
+    """
     states = checkpoint.get("callbacks", {})
+    states.pop("Timer", None)
     if "Sittings" in states:
         states["TrainingSessions"] = {"sessions": states.pop("Sittings")["sittings"]}
     return checkpoint

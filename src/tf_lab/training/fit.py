@@ -124,9 +124,9 @@ def fit(
     # of the other processes of a distributed training; the loggers' files
     with as_parent(deaf=False), telling_no_space(directory):
         made.fit(module, batches, ckpt_path=state, weights_only=True)
+    made.save_checkpoint(last)  # to train on
     if made.global_step < settings.steps:
         raise KeyboardInterrupt  # a callback ended it
-    made.save_checkpoint(last)  # to train on
     return made
 
 
@@ -212,10 +212,12 @@ def _trainer(
     )
     identity = [] if settings.identity is None else [_Identity(settings.identity)]
     every = min(settings.validate_every, settings.steps)
+    batches = every * trainer.others.get("accumulate_grad_batches", 1)
     try:
         return L.Trainer(
             max_steps=settings.steps,
-            val_check_interval=every or None,
+            max_time=trainer.max_time,
+            val_check_interval=batches or None,
             limit_val_batches=1.0 if every else 0,
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,

@@ -19,6 +19,7 @@ from tf_lab.data.captures import (
     prepared_scenes,
     summarise,
 )
+from tf_lab.data.captures import Prepared as PreparedCaptures
 from tf_lab.data.sources.settings import CapturesData, Content, PreparedData
 from tf_lab.data.sources.source import DataSource, Prepared
 from tf_lab.errors import TFLabError
@@ -54,6 +55,12 @@ class PreparedSource(DataSource):
 
     def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
         """See `DataSource`."""
+        scenes, made = self._prepared(splits, check)
+        return Prepared(scenes, made.failed, summarise(made, self.folder))
+
+    def _prepared(
+        self, splits: Sequence[str], check: bool = False
+    ) -> tuple[dict[str, dict[str, Path]], PreparedCaptures]:
         s, chosen = self.settings, self.captures(splits)
         sources = {name: path for split in chosen.values() for name, path in split.items()}
         root, memory = Path(s.scenes).expanduser(), round(s.memory * 2**30)
@@ -62,7 +69,7 @@ class PreparedSource(DataSource):
             split: {name: made.scenes[name] for name in names if name in made.scenes}
             for split, names in chosen.items()
         }
-        return Prepared(scenes, made.failed, summarise(made, self.folder))
+        return scenes, made
 
     def has(self, split: str) -> bool:
         """See `DataSource`."""
@@ -72,14 +79,14 @@ class PreparedSource(DataSource):
         """See `DataSource`; scenes that cannot be made are logged and left out."""
         if table := self.known.scenes:
             return {s: {n: self.folder / n / d for n, d in table[s].items()} for s in splits}
-        made = self.prepare(splits)
+        scenes, made = self._prepared(splits)
         for name, reason in made.failed.items():
             log.warning("scene %s is left out: %s", name, reason)
         chosen = self.captures(splits)
-        for split, found in made.scenes.items():
+        for split, found in scenes.items():
             if chosen[split] and not found:
                 raise TFLabError(f"none of the {split} scenes can be prepared, see above")
-        return made.scenes
+        return scenes
 
     def content(self) -> Content:
         """See `DataSource`."""
