@@ -110,7 +110,10 @@ def listing(output: Path) -> str:
     """
     trainings, runs = find_trainings(output), find_runs(output)
     if not trainings and not runs:
-        raise TFLabError(f"{output}: no trainings or evaluations in it; give output=DIR")
+        raise TFLabError(
+            f"{output}: no trainings or evaluations in it; give output=DIR, or make one by "
+            "`python -m tf_lab.train`"
+        )
     first = [["TRAINING", "STATE", "COMMIT", "MINUTES", "USED BY (ROW / SEED)"]]
     for entry in trainings:
         used = [run.label for run in runs if run.training == entry.directory.name]

@@ -105,6 +105,16 @@ def test_memory_options_change_no_vertex(
     assert half.vertices.shape != whole.vertices.shape or (half.vertices != whole.vertices).any()
 
 
+def test_jobs_of_a_sweep_keep_a_mesh_each(posed_images: Path, checkpoint: Path) -> None:
+    given = (f"checkpoint={checkpoint}", f"input={posed_images}", *SETTINGS)
+    result = call("reconstruct", "-m", *given, "views=2,8")
+    assert result.status == 0, result.err
+    meshes = sorted(Path("outputs/reconstructions").glob("*.ply"))
+    assert [path.stem[-2:] for path in meshes] == ["-0", "-1"]
+    few, many = (load(path).vertices for path in meshes)
+    assert few.shape != many.shape or (few != many).any()
+
+
 def test_without_an_input_a_test_room_is_scored(reconstruct: Callable[..., Result]) -> None:
     result = reconstruct(*ROOM)
     assert (result.status, result.err) == (0, "")

@@ -43,8 +43,10 @@ def test_how_a_job_ended(status: int, reason: str) -> None:
 
 
 def test_a_launcher_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(launcher.LAUNCHERS, "slurm", "no-such-package")
-    with pytest.raises(TFLabError, match=r"launcher=slurm .* pip install no-such-package"):
+    monkeypatch.setitem(launcher.LAUNCHERS, "slurm", ("no-such-package", "what-is-wanted"))
+    with pytest.raises(
+        TFLabError, match=r"^launcher=slurm needs no-such-package: pip install .* what-is-wanted$"
+    ):
         check("launcher=slurm")
     check("launcher=local")  # is not asked for any
 

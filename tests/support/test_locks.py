@@ -97,6 +97,11 @@ def test_who_waits_for_what_is_removed_makes_it_anew(
     assert not directory.exists()
 
 
+def test_asking_leaves_nothing_behind(tmp_path: Path) -> None:
+    assert lock_holder(tmp_path) is None
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_another_host_left_locks_nothing(tmp_path: Path) -> None:
     """As after a machine that went down: the note stays, the kernel's lock does not."""
     (tmp_path / ".lock").touch()

@@ -134,11 +134,13 @@ def lines(report: Report, path: Path) -> Iterator[str]:
             )
     if report.sensors is not None:
         x, y = (1000 * value for value in report.sensors.offset)
-        yield (
-            f"colour against depth: correlation {report.sensors.score:.3f}; best "
-            f"{report.sensors.best:.3f} with {report.sensors.focal:.3f} times the focal length "
-            f"and colour ({x:.0f}, {y:.0f}) mm off"
-        )
+        other = "no other focal length or offset is better"
+        if report.sensors.best > report.sensors.score:
+            other = (
+                f"best {report.sensors.best:.3f} with {report.sensors.focal:.3f} times the focal "
+                f"length and colour ({x:.0f}, {y:.0f}) mm off"
+            )
+        yield f"colour against depth: correlation {report.sensors.score:.3f}; {other}"
     for finding in report.findings:
         yield f"- {finding}"
     cure = f"; to mend it: {shlex.join(report.settings)}" if report.settings else ""

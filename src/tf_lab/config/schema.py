@@ -258,7 +258,7 @@ class CaptureConfig(InferenceSettings, ReadSettings):
     check: bool = setting(
         True, "warn of cameras that are clearly wrong (python -m tf_lab.check says more)"
     )
-    seed: int = setting(0, "of select=rnd", least=0, most=MOST_SEED)
+    seed: int = setting(0, "of select=rnd and select=diverse", least=0, most=MOST_SEED)
     device: str = setting("auto", "auto, cpu, cuda")
 
 

@@ -40,7 +40,10 @@ from tf_lab.support.tables import NOTHING, aligned
 
 JOB = "hydra.mode=RUN"  # in the command line that does one job of a sweep
 RECORD = "job.json"
-LAUNCHERS = {"slurm": "hydra-submitit-launcher", "ray": "hydra-ray-launcher"}
+LAUNCHERS = {  # what they need, and what pip calls it
+    "slurm": ("hydra-submitit-launcher", "hydra-submitit-launcher"),
+    "ray": ("hydra-ray-launcher", "-e '.[ray]'"),
+}
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,14 @@ def check_launcher(given: argparse.Namespace) -> None:
     for override in given.overrides:
         if override.startswith("sweep=") and "," in override:
             raise TFLabError(f"{override}: one sweep at a time; sweep=all has every row")
-    for name, package in LAUNCHERS.items():
+    for name, (package, wanted) in LAUNCHERS.items():
         if f"launcher={name}" in given.overrides:
             try:
                 importlib.metadata.version(package)
             except importlib.metadata.PackageNotFoundError:
-                message = f"launcher={name} needs a package more: pip install {package}"
-                raise TFLabError(message) from None
+                raise TFLabError(
+                    f"launcher={name} needs {package}: pip install -c constraints.txt {wanted}"
+                ) from None
     starts = given.cfg is None and JOB not in given.overrides  # a job may see no srun
     if starts and "launcher=slurm" in given.overrides and shutil.which("srun") is None:
         raise TFLabError(
@@ -234,3 +238,8 @@ def format_jobs(records: Sequence[Mapping[str, Any]]) -> str:
 def in_sweep() -> bool:
     """Whether this is one job of several, in the worker of a launcher."""
     return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
+
+
+def job_number() -> int | None:
+    """The number of this job among several; None if it is the only one."""
+    return int(HydraConfig.get().job.num) if in_sweep() else None

@@ -92,4 +92,4 @@ class ReconstructionSettings(InferenceSettings):
         for name, others in (("precision", ["auto"]), ("logits", []), ("maps", ["auto"])):
             if getattr(self, name) not in (*PRECISIONS, *others):
                 choices = ", ".join([*PRECISIONS, *others])
-                raise TFLabError(f"{name}={getattr(self, name)}: choose one of {choices}")
+                raise TFLabError(f"online.{name}={getattr(self, name)}: choose one of {choices}")

@@ -90,6 +90,8 @@ def _is_empty(directory: Path) -> bool:
 
 def lock_holder(directory: Path) -> str | None:
     """Who holds a directory's lock; None: nobody."""
+    if not (directory / LOCK).exists():  # asking leaves nothing behind
+        return None
     lock = FileLock(directory / LOCK)
     try:
         lock.acquire(timeout=0)

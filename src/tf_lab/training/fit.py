@@ -213,6 +213,11 @@ def _trainer(
     identity = [] if settings.identity is None else [_Identity(settings.identity)]
     every = min(settings.validate_every, settings.steps)
     batches = every * trainer.others.get("accumulate_grad_batches", 1)
+    if trainer.accelerator == "gpu" and not torch.accelerator.is_available():
+        raise TFLabError(
+            "trainer.accelerator=gpu: torch sees no GPU here; leave trainer=gpu out (one that is "
+            "there is used), or install a torch that has CUDA"
+        )
     try:
         return L.Trainer(
             max_steps=settings.steps,
