@@ -159,7 +159,7 @@ def test_comparison() -> None:
     figure = meshes.comparison([scene, scene], SIZE).figure
     for part in figure.subfigs:
         titles = [axes.get_title() for axes in part.axes if axes.get_title()]
-        assert titles == ["Stereo", "Ours   F 0.500", "Ground truth"]
+        assert titles == ["Stereo", "Ours\nF 0.500", "Ground truth"]
         stereo, ours, there = (axes.images[0].get_array() for axes in part.axes[:3])
         np.testing.assert_array_equal(ours, there)  # the same mesh by the same camera
         assert (np.asarray(stereo) != ours).any() and (np.asarray(ours) < 250).any()

@@ -65,7 +65,7 @@ class Compared:
     def title(self, method: str) -> str:
         """A method with its F-score."""
         score = self.fscores.get(method)
-        return method if score is None else f"{method}   F {score:.3f}"
+        return method if score is None else f"{method}\nF {score:.3f}"
 
     def camera(self, size: Size) -> tuple[np.ndarray, np.ndarray, float]:
         """K, world_T_cam and the cut of a picture from above, the same for all meshes.
