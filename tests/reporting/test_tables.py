@@ -90,13 +90,16 @@ def test_the_main_table_is_laid_out_as_the_papers(study: Study) -> None:
 def test_how_many_seeds_a_row_has_where_they_differ(study: Study, tmp_path: Path) -> None:
     found = cells(short_table(study))
     assert (found["Ours"][0], found["Ours: w/o C2F filter"][0]) == ("3", "1")
-    assert "over seeds 0, 1, 2 or some of them of" in main_table(study).caption
+    assert "over seeds 0, 1, 2, of some rows fewer, of the mean" in main_table(study).caption
     said = "of one seed they are of scenes alone, and say nothing of another training"
     assert said in comparison_table(study).caption and said in orderings_table(study).caption
     write_study(tmp_path, {row: SCORES[row]["fscore"] for row in ROWS})
     whole = open_study([tmp_path])[0]
     assert "Seeds" not in [column.title for column in main_table(whole).columns]
     assert said not in comparison_table(whole).caption + orderings_table(whole).caption
+    write_run(tmp_path / "one", "", 0, [0.5])
+    one = main_table(open_study([tmp_path / "one"])[0]).caption
+    assert one.startswith("Of seed 0 the mean over 1 test scene; distances in cm.")
 
 
 def test_the_best_is_bold(study: Study) -> None:

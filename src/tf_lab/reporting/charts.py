@@ -83,7 +83,8 @@ def rows_chart(study: Study) -> Figure:
     found = {i: s for i, row in enumerate(rows) if len(s := study.scores(row).mean(1))}
     means = [seeds.mean() for seeds in found.values()]
     spread = [_bar(seeds) for seeds in found.values()]
-    axes.errorbar(means, [*found], xerr=spread, fmt="o", color=BLUE, capsize=3, label=MEAN)
+    mean = MEAN if study.repetitions[1] > 1 else "mean over scenes"
+    axes.errorbar(means, [*found], xerr=spread, fmt="o", color=BLUE, capsize=3, label=mean)
     dots = [(score, i) for i, seeds in found.items() for score in seeds if len(seeds) > 1]
     if dots:
         scores, heights = np.transpose(dots)

@@ -15,6 +15,7 @@ from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES
 from tf_lab.reporting.results import Run
 from tf_lab.reporting.statistics import Estimate, deviation, holm
 from tf_lab.reporting.studies import Study
+from tf_lab.support.words import counted
 
 ROW = Column("row", "Method")
 HERE, THERE = "This study", "Paper"
@@ -58,11 +59,10 @@ def _beside_paper(study: Study, name: str, groups: Sequence[Sequence[str]]) -> T
         [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group if study.shows(row)]
         for group in groups
     ]
-    seeds = ", ".join(map(str, study.seeds())) + (" or some of them" if _seeds(study) else "")
+    scenes = counted(len(study.scenes), "test scene")
     caption = (
-        f"Mean and standard deviation over seeds {seeds} of the mean over "
-        f"{len(study.scenes)} test scenes; distances in cm. Beside it the paper's figures, which "
-        "are of ScanNet: only orders compare, not values."
+        f"{_over(study)} the mean over {scenes}; distances in cm. "
+        "Beside it the paper's figures, which are of ScanNet: only orders compare, not values."
     )
     return Table(name, caption, columns, _with_best(body, columns))
 
@@ -70,6 +70,15 @@ def _beside_paper(study: Study, name: str, groups: Sequence[Sequence[str]]) -> T
 def _metrics(parts: Sequence[MetricPart], span: str = "") -> list[Column]:
     better = {True: "up", False: "down", None: ""}
     return [Column(p.name, p.heading, better[p.higher_is_better], span) for p in parts]
+
+
+def _over(study: Study) -> str:
+    """What a main table shows of the seeds."""
+    seeds = ", ".join(map(str, study.seeds()))
+    if len(study.seeds()) == 1:
+        return f"Of seed {seeds}"
+    fewer = ", of some rows fewer," if _seeds(study) else ""
+    return f"Mean and standard deviation over seeds {seeds}{fewer} of"
 
 
 def _seeds(study: Study) -> list[Column]:
