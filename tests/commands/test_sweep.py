@@ -126,7 +126,7 @@ def test_a_jobs_process_has_the_jobs_config(
 
     monkeypatch.setattr("tf_lab.commands.train.run_directory", found)
     monkeypatch.setattr(Children, "run", lambda _, command, *__: commands.append(command) or 0)
-    given = ("training.views=[1,2]", "+trainer.others.max_time='1:2'", "output=a, b=c")
+    given = ("training.views=[1,2]", "+trainer.others.more='1:2'", "output=a, b=c")
     given += ("data.root=Küche ${x} (1)", "model.name=2024_01_01")
     result = train("sweep=inputs", "seed=3,4", "row=avg,views8_rnd", *given, "hydra.verbose=false")
     assert result.status == 1

@@ -53,7 +53,7 @@ def test_a_panel_a_row(study: Study, drawn: list[Figure], tmp_path: Path) -> Non
     draw_scene(scene_runs(study, ROOM), ROOM, box(1.0), tmp_path / "a.png", size=(60, 45))
     (figure,) = drawn
     panels = {axes.get_title(): axes.images[0].get_array() for axes in figure.axes if axes.images}
-    assert [title.split("   ") for title in panels] == [
+    assert [title.split("\n") for title in panels] == [
         *(["Ground truth"], ["Ours", "F 0.600"]),
         *(["Ours: w/o TRSF, avg", "F 0.600"], ["Ours: 4 images", "F 0.600"]),
     ]

@@ -54,7 +54,8 @@ def panel_grid(
         axes.set_axis_off()
     for axes, (title, image) in zip(grid.flat, panels.items(), strict=False):
         axes.imshow(image)
-        axes.set_title(textwrap.fill(title, round(CHARACTERS * width)), fontsize=TITLE)
+        lines = [textwrap.fill(line, round(CHARACTERS * width)) for line in title.splitlines()]
+        axes.set_title("\n".join(lines), fontsize=TITLE)
     return figure
 
 
