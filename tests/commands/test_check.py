@@ -11,7 +11,10 @@ from PIL import Image
 from helpers.injections import INJECTIONS
 from helpers.layouts import plain, room_frames
 from helpers.tiny_jobs import call
+from tf_lab.commands.check import lines
 from tf_lab.data.captures import ImportSettings, Prepared, import_capture, summarise
+from tf_lab.data.diagnosis.sensors import Sensors
+from tf_lab.data.diagnosis.verdict import FINE, Report
 from tf_lab.data.reading import ReadSettings
 
 DOWN = "gravity=[0,0,-1]"
@@ -97,6 +100,20 @@ def test_images_that_cannot_be_read_are_counted_and_named(tmp_path: Path) -> Non
     assert f"({cut.stem}, {empty.stem})" in line
     told = json.loads((tmp_path / "found" / "check.json").read_text())["statistics"]["unread"]
     assert [reason.partition(": ")[0] for reason in told] == [cut.stem, empty.stem]
+
+
+@pytest.mark.parametrize(
+    ("best", "told"),
+    [
+        (0.909, "correlation 0.914; no other focal length or offset is better"),
+        (0.95, "best 0.950 with 0.997 times the focal length and colour (10, 0) mm off"),
+    ],
+)
+def test_no_worse_fit_of_the_sensors_is_called_the_best(best: float, told: str) -> None:
+    sensors = Sensors(9, 0.914, 0.997, (0.01, 0.0), best, False, float("nan"), float("nan"))
+    report = Report(FINE, [], [], 9, 99, 0.1, sensors=sensors)
+    (line,) = (line for line in lines(report, Path("room")) if line.startswith("colour against"))
+    assert line.endswith(told)
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.readers import detect_format, open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Scene
+from tf_lab.data.sources.settings import CapturesData
+from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import pose_distance
 from tf_lab.meshes.files import read_mesh, write_mesh
@@ -148,6 +150,18 @@ def test_one_bad_capture_does_not_stop_the_others(source: Path, tmp_path: Path) 
     np.savetxt(bad / "camera-intrinsics.txt", room_frames()[0].K)
     again = prepare_captures(found, root, SMALL, workers=1, memory=MEMORY)
     assert (again.failed, again.scenes["kitchen"].stat().st_ino) == ({}, stamp)
+
+
+def test_only_preparing_writes_what_became_of_all_scenes(source: Path, tmp_path: Path) -> None:
+    """A training, which may need but some of them, says nothing of the others."""
+    settings = CapturesData(
+        root=str(source.parent), scenes=str(tmp_path / "scenes"), width=48, height=36, workers=1
+    )
+    opened = open_source(settings)
+    assert list(opened.scenes("train")["train"]) == ["kitchen"]
+    assert not list((tmp_path / "scenes").rglob("prepare.json"))
+    opened.prepare(["train"])
+    assert len(list((tmp_path / "scenes").rglob("prepare.json"))) == 1
 
 
 def test_other_settings_are_other_scenes() -> None:

@@ -1,5 +1,6 @@
 """Ground truth of the analytic box room against its known distances."""
 
+import errno
 import shutil
 from pathlib import Path
 
@@ -272,6 +273,16 @@ def test_damaged_files(files: Path, tmp_path: Path, name: str, damage: str) -> N
         path.write_bytes(content[: len(content) // 2] if damage == "truncated" else b"")
     with pytest.raises(TFLabError, match=r"groundtruth: the ground truth is damaged.*prepare it"):
         GroundTruth(copy)
+
+
+def test_too_many_open_files_are_no_damage(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(np.lib.format, "open_memmap", refused)
+    with pytest.raises(TFLabError, match="too many open files; allow more") as caught:
+        GroundTruth(files)
+    assert "damaged" not in str(caught.value) and "delete" not in str(caught.value)
 
 
 def test_captures_that_give_no_ground_truth(tmp_path: Path) -> None:

@@ -161,6 +161,15 @@ def test_what_is_wrong_with_the_trainer_is_told_before_data_is_made(tmp_path: Pa
         fit(Line(), data, tmp_path, wrong, FitSettings(9, 2), loggers=[])
 
 
+@pytest.mark.skipif(torch.accelerator.is_available(), reason="there is one")
+def test_a_gpu_that_is_not_there(tmp_path: Path) -> None:
+    wrong = TrainerSettings(accelerator="gpu")
+    with pytest.raises(
+        TFLabError, match=r"^trainer\.accelerator=gpu: torch sees no GPU here; leave "
+    ):
+        fit(Line(), Numbers, tmp_path, wrong, FitSettings(9, 2), loggers=[])
+
+
 @pytest.mark.parametrize("before", [[], ["config.yaml"]])
 @pytest.mark.parametrize("result", [[], ["last.ckpt"], ["logs/version_0/metrics.csv"]])
 @pytest.mark.parametrize("error", [TFLabError, KeyboardInterrupt])

@@ -75,6 +75,9 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     if content:
         new["content"] = content
     encoder.setdefault("name", "resnet")
+    others = new.get("trainer", {}).get("others", {})
+    if "max_time" in others:
+        new["trainer"]["max_time"] = others.pop("max_time")
     for group in ("logger", "launcher"):  # shape nothing, and had other settings
         new.pop(group, None)
     if "ranked" in training:  # the share of steps whose views were kept by attention

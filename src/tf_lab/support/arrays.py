@@ -28,14 +28,14 @@ def read_array(path: Path, cure: str) -> np.ndarray:
         return np.lib.format.open_memmap(path, mode="r")  # its size is held against the file's
     except FileNotFoundError as error:
         raise TFLabError(f"{path}: missing; {cure}") from error
-    except OSError as error:
-        if error.errno in (errno.EMFILE, errno.ENFILE):  # nothing is wrong with it
-            raise TooManyFilesError(
-                f"{path}: too many open files; allow more (`ulimit -n 4096`), or use fewer "
-                "trainer.workers"
-            ) from error
-        raise TFLabError(f"{path}: cannot be read as an array ({error}); {cure}") from error
     except Exception as error:  # whatever the damage leads to
+        if getattr(error, "errno", None) in (
+            errno.EMFILE,
+            errno.ENFILE,
+        ):  # nothing is wrong with it
+            raise TooManyFilesError(
+                f"{path}: too many open files; allow more (`ulimit -n 4096`)"
+            ) from error
         raise TFLabError(f"{path}: cannot be read as an array ({error}); {cure}") from error
 
 
