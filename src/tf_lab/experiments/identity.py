@@ -20,7 +20,10 @@ from tf_lab.online.views import POLICIES
 from tf_lab.support.settings import shaping
 
 PAPER_VIEWS = 16
-WATCHING = ("LearningRateMonitor", "DeviceStatsMonitor", "Timer")  # callbacks that change nothing
+WATCHING = tuple(  # callbacks that change nothing
+    f"lightning.pytorch.callbacks.{name}"
+    for name in ("LearningRateMonitor", "DeviceStatsMonitor", "Timer")
+)
 
 
 def training_identity(config: TrainConfig) -> dict[str, Any]:
@@ -28,11 +31,7 @@ def training_identity(config: TrainConfig) -> dict[str, Any]:
     identity = shaping(config, "weights")
     if config.content.encoder is not None:  # a file: known by what is in it
         del identity["encoder"]["weights"]
-    callbacks = [
-        given
-        for given in config.callbacks.values()
-        if str(given.get("_target_")).rpartition(".")[2] not in WATCHING
-    ]
+    callbacks = [c for c in config.callbacks.values() if c.get("_target_") not in WATCHING]
     return {**identity, "callbacks": callbacks} if callbacks else identity
 
 

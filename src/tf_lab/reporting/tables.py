@@ -92,9 +92,9 @@ def _mean_cells(study: Study, row: str) -> list[Cell]:
 
     Before them the number of seeds, where there is a column for it.
     """
-    seeds: list[Cell] = [Number(len(study.seeds(row)) or None, "d") for _ in _seeds(study)]
     scores = [_over_seeds(study.scores(row, p.name).mean(1), p.format) for p in study.metrics]
-    return [*seeds, *scores]
+    seeds = Number(len(study.seeds(row)) or None, "d")
+    return [seeds, *scores] if _seeds(study) else [*scores]
 
 
 def _over_seeds(means: np.ndarray, form: str = ".3f") -> Number:
