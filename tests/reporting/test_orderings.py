@@ -17,6 +17,7 @@ from tf_lab.reporting.orderings import (
 from tf_lab.reporting.paper import ATTENTION, RANDOM, SCORES
 from tf_lab.reporting.statistics import Estimate
 from tf_lab.reporting.studies import Study, open_study
+from tf_lab.reporting.tables import comparison_table, orderings_table
 
 PAPER = {row: SCORES[row]["fscore"] for row in ROWS}
 
@@ -57,6 +58,19 @@ def test_what_rests_on_one_training_is_said(tmp_path: Path) -> None:
         "each row under ours: 11 of 11 hold in the mean, 11 with an interval above zero "
         "(11 of one seed: over scenes alone), 0 contradicted"
     )
+
+
+def test_what_rests_on_one_scene_is_said(tmp_path: Path) -> None:
+    for seed in range(3):
+        write_run(tmp_path, "data.test_size=1 select=rnd", seed, [0.5])
+        write_run(tmp_path, "data.test_size=1", seed, [0.6 + 0.001 * seed])
+    study, _ = open_study([tmp_path])
+    assert summary(study).splitlines()[1] == (
+        "attention over random: 1 of 1 hold in the mean, 1 with an interval above zero "
+        "(of one scene: over seeds alone), 0 contradicted, 2 missing"
+    )
+    said = "of one scene they are of trainings alone, and say nothing of another scene"
+    assert said in orderings_table(study).caption and said in comparison_table(study).caption
 
 
 def test_a_study_against_the_paper(tmp_path: Path) -> None:

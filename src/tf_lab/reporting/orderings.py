@@ -112,11 +112,14 @@ def summary(study: Study) -> str:
             lines.append(f"{family}: all {len(members)} missing")
             continue
         verdicts = [verdict(estimate) for estimate in known]
-        alone = sum(
-            verdict(estimate) == "holds" and len(study.seeds(*o.weights, metric="fscore")) == 1
-            for o, estimate in zip(members, found, strict=True)
-        )
-        one = f" ({alone} of one seed: over scenes alone)" if alone else ""
+        holding = [
+            o for o, e in zip(members, found, strict=True) if verdict(e) == "holds"
+        ]
+        if len(study.scenes) == 1:
+            one = " (of one scene: over seeds alone)" if holding else ""
+        else:
+            alone = sum(len(study.seeds(*o.weights, metric="fscore")) == 1 for o in holding)
+            one = f" ({alone} of one seed: over scenes alone)" if alone else ""
         parts = [
             f"{sum(estimate.mean > 0 for estimate in known)} of {len(known)} hold in the mean",
             f"{verdicts.count('holds')} with an interval above zero{one}",

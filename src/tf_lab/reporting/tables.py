@@ -22,6 +22,7 @@ HERE, THERE = "This study", "Paper"
 SCORE = Column("fscore", "F-score", "up")
 SEEDS = Column("seeds", "Seeds")
 ONE_SEED = "of one seed they are of scenes alone, and say nothing of another training"
+ONE_SCENE = "of one scene they are of trainings alone, and say nothing of another scene"
 INTERVAL = (
     Column("difference", "Difference"),
     Column("low", "95 % from"),
@@ -141,12 +142,15 @@ def comparison_table(study: Study) -> Table:
     caption = (
         "F-score of each row against ours: mean difference, 95 % interval and p-value of a crossed "
         "bootstrap over seeds and test scenes (p-values are not corrected for their number"
-        f"{_of_one_seed(study)}), and the paper's difference."
+        f"{_of_one(study)}), and the paper's difference."
     )
     return Table("comparison", caption, columns, _with_best([body], columns))
 
 
-def _of_one_seed(study: Study) -> str:
+def _of_one(study: Study) -> str:
+    """What an interval over a single scene, or a single seed, does not speak of."""
+    if len(study.scenes) == 1:
+        return f"; {ONE_SCENE}"
     return f"; {ONE_SEED}" if study.repetitions[0] == 1 else ""
 
 
@@ -177,7 +181,7 @@ def orderings_table(study: Study) -> Table:
         "The orderings of the paper's F-scores, and of the selection that is ours. A difference "
         "above zero is as claimed; undecided: the interval includes zero. Each interval and p is "
         "of one claim by itself; p, corrected, is Holm's for the claims of one block"
-        f"{_of_one_seed(study)}."
+        f"{_of_one(study)}."
     )
     return Table("orderings", caption, columns, body)
 
