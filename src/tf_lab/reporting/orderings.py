@@ -112,9 +112,7 @@ def summary(study: Study) -> str:
             lines.append(f"{family}: all {len(members)} missing")
             continue
         verdicts = [verdict(estimate) for estimate in known]
-        holding = [
-            o for o, e in zip(members, found, strict=True) if verdict(e) == "holds"
-        ]
+        holding = [o for o, e in zip(members, found, strict=True) if verdict(e) == "holds"]
         if len(study.scenes) == 1:
             one = " (of one scene: over seeds alone)" if holding else ""
         else:
