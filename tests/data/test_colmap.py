@@ -252,6 +252,24 @@ def test_images_that_cannot_be_used_are_skipped(text: Write) -> None:
         assert reason in "\n".join(capture.skipped)
 
 
+def test_images_without_a_pose_are_counted(text: Write) -> None:
+    """Where COLMAP could not place all images, the others are told."""
+    capture = colmap.read(text(images=f"1 {POSE} 1 0.png\n\n2 {POSE} 1 2.png\n\n", count=4))
+    assert capture.frames == ["0", "2"]
+    assert capture.skipped == [
+        f"{i}.png: not in the model (COLMAP found no pose for it)" for i in (1, 3)
+    ]
+
+
+def test_a_senseless_lens_costs_its_own_images(text: Write) -> None:
+    cameras = f"{PINHOLE}\n2 SIMPLE_RADIAL 120 90 110 61 44.5 -4\n"
+    capture = colmap.read(text(cameras, f"1 {POSE} 1 0.png\n\n2 {POSE} 2 1.png\n\n", count=2))
+    assert capture.frames == ["0"]
+    assert len(capture.skipped) == 1 and "1: the lens distortion" in capture.skipped[0]
+    with pytest.raises(TFLabError, match="the lens distortion"):
+        colmap.read(text(cameras, f"1 {POSE} 2 1.png\n\n", count=2))
+
+
 @pytest.mark.parametrize(
     ("cameras", "message"),
     [

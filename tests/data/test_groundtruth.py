@@ -305,3 +305,16 @@ def test_readings_beyond_far_do_not_widen_the_volume(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
     grid, _ = fuse_capture(scene, GroundTruthSettings())
     assert grid.origin[0] + grid.voxel * grid.shape[0] < 2.4
+
+
+def test_what_scores_need_is_the_same_without_what_training_needs(tmp_path: Path) -> None:
+    pose, K = box_room.look(np.zeros(3), 0.0, 0.0), box_room.intrinsics()
+    frame = Frame("a", np.zeros((60, 80, 3), np.uint8), K, pose, np.full((60, 80), 2.0, np.float32))
+    scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
+    for name, training in (("all", True), ("some", False)):
+        write_groundtruth(scene, tmp_path / name, GroundTruthSettings(), training=training)
+    some = {path.name for path in (tmp_path / "some").iterdir()}
+    assert some == {"mesh_gt.ply", "occlusion_mask.npy", "world2grid.txt"}
+    assert some < {path.name for path in (tmp_path / "all").iterdir()}
+    for name in some:
+        assert (tmp_path / "some" / name).read_bytes() == (tmp_path / "all" / name).read_bytes()

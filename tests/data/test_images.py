@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from tf_lab.data.capture import Capture, read_depth, read_image
 from tf_lab.data.lens import Camera
 from tf_lab.data.readers import open_capture, plain
-from tf_lab.data.readers.images import at_file_size, image_size, match_depths
+from tf_lab.data.readers.images import at_file_size, image_files, image_size, match_depths
 from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
@@ -258,3 +258,58 @@ def test_a_folder_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(Path, "iterdir", refuse)  # root may read everything
     with pytest.raises(TFLabError, match=r"images: cannot be read \(Permission denied\)"):
         plain.read(folder)
+
+
+@pytest.mark.parametrize(
+    "stems",
+    [
+        [str(round(1693224432 + i * 0.05, 2)) for i in range(25)],  # seconds, as Python prints them
+        [str(round(i * 0.04, 2)) for i in range(60)],
+        [f"{i // 12}.{i % 12 + 1}" for i in range(30)],  # counters of two numbers
+        [f"{i}" for i in range(12)],
+        [f"frame-{i}.color" for i in range(12)],
+    ],
+)
+def test_images_are_in_order_of_time(tmp_path: Path, stems: list[str]) -> None:
+    for stem in stems:
+        (tmp_path / f"{stem}.png").touch()
+    assert [path.stem for path in image_files(tmp_path)] == stems
+
+
+@pytest.mark.parametrize("shape", [(32, 24), (18, 32)])  # turned, cropped
+def test_depth_of_another_shape_is_refused(tmp_path: Path, shape: tuple[int, int]) -> None:
+    folder = write(tmp_path / "a")
+    (folder / "depth").mkdir()
+    for i in range(COUNT):
+        np.save(folder / "depth" / f"{i}.npy", DEPTH.astype(np.float32))
+    np.save(folder / "depth" / "3.npy", np.ones(shape, np.float32))
+    np.save(folder / "depth" / "4.npy", np.full((12, 16), 2, np.float32))  # half the size
+    capture = opened(folder)
+    told = rf"3\.npy: is {shape[1]}x{shape[0]}, its image 32x24, of another shape; turn or crop it"
+    with pytest.raises(TFLabError, match=told):
+        capture.depth(3)
+    for i, known in ((0, DEPTH), (4, np.full(DEPTH.shape, 2))):
+        depth = capture.depth(i)
+        assert depth is not None
+        np.testing.assert_allclose(depth, known, atol=1e-3)
+
+
+def test_only_16_bit_depth_has_a_largest_number(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.full((2, 3), 300_000, np.uint32))  # 3 m in units of 0.01 mm
+    np.testing.assert_allclose(read_depth(path, 100_000), 3)
+    np.save(path, np.full((2, 3), 65535, np.uint16))
+    assert not read_depth(path, 1000).any()
+    Image.fromarray(np.full((2, 3), 65535, np.uint16)).save(tmp_path / "a.png")
+    assert not read_depth(tmp_path / "a.png", 1000).any()
+
+
+def test_images_of_one_odd_camera_do_not_stop_the_others(tmp_path: Path) -> None:
+    files = [tmp_path / f"{i}.png" for i in range(3)]
+    for file in files[:2]:
+        Image.fromarray(picture(0)).save(file)
+    files[2].touch()
+    usual, odd = Camera(SIZE, 30, 31, 15.75, 11.25), Camera((40, 20), 30, 31, 19.5, 9.5)
+    assert at_file_size([usual, usual, odd], files) == [usual, usual, odd]
+    with pytest.raises(TFLabError, match=r"2\.png: not one of the colour images"):
+        at_file_size([odd], files[2:])

@@ -350,3 +350,28 @@ def test_two_layouts_in_one_folder_need_a_choice(tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match=r"seven_scenes or plain.*format="):
         open_capture(tmp_path)
     assert open_capture(tmp_path, ReadSettings(format="plain", gravity=DOWN)).frames[0] == "0"
+
+
+def test_poses_beside_images_that_are_not_where_they_belong(tmp_path: Path) -> None:
+    write_plain(tmp_path)
+    for file in (tmp_path / "images").iterdir():
+        file.rename(tmp_path / file.name)
+    (tmp_path / "images").rmdir()
+    with pytest.raises(TFLabError, match=r"images and poses\.txt, .*; put the images in images/"):
+        open_capture(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "told"),
+    [(lambda poses: poses.swapaxes(1, 2), "column by column: transpose"),
+     (lambda poses: poses * [[[1], [1], [-1], [1]]], "an axis is mirrored")],
+)  # fmt: skip
+def test_matrices_that_are_no_poses_are_told_apart(
+    tmp_path: Path, mistake: Callable[[np.ndarray], np.ndarray], told: str
+) -> None:
+    write_plain(tmp_path)
+    poses = known_poses()
+    poses[:, :3, 3] += 1
+    np.savetxt(tmp_path / "poses.txt", mistake(poses).reshape(len(poses), 16))
+    with pytest.raises(TFLabError, match=told):
+        open_capture(tmp_path)

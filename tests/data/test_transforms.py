@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from helpers import lenses
 from tf_lab.data.readers import open_capture, transforms
@@ -136,6 +136,19 @@ def test_field_of_view_for_focal_length_and_size_of_the_images(read: Read) -> No
     assert both.K[0, 1, 1] == pytest.approx(39)
     assert read([frame(0)], fl_x=30.0, camera_angle_x=angle).K[0, 0, 0] == 30
     assert read([frame(0)], fl_x=30.0).K[0, 1, 1] == 30
+
+
+def test_the_principal_point_says_how_turned_pictures_are_meant(tmp_path: Path) -> None:
+    """Where no size is stated: those of a phone held upright are stored lying."""
+    document = {"fl_x": 39.0, "fl_y": 38.0, "cx": 15.0, "cy": 20.5}
+    frames = [{**frame(0), "file_path": "images/0.jpg"}]
+    folder = write(tmp_path, {**document, "frames": frames}, images=0)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.new("RGB", SIZE).save(folder / "images" / "0.jpg", exif=exif)
+    capture = transforms.read(folder)
+    assert capture.size == SIZE[::-1]
+    assert capture.image(0).shape == (40, 30, 3)
 
 
 def test_names_without_suffix_from_windows_and_of_other_folders(tmp_path: Path) -> None:

@@ -127,6 +127,6 @@ def _fuse_depth(capture: Capture, directory: Path) -> None:
     if not frames:
         return
     try:
-        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames)
+        write_groundtruth(capture, directory, GroundTruthSettings(), frames=frames, training=False)
     except TFLabError as error:
         print(f"not scored, because the depth cannot be fused: {error}")

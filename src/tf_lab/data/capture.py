@@ -165,6 +165,8 @@ def _raw_depth(path: Path) -> np.ndarray:
         else:
             with open_image(path) as image:
                 raw = np.asarray(image)
+                if image.format == "PNG" and raw.dtype.itemsize > 2:  # older Pillow's 16 bits
+                    raw = raw.astype(np.uint16)
     except TFLabError:
         raise
     except Exception as error:  # damaged data makes Pillow raise nearly anything
@@ -199,6 +201,6 @@ def _usual_scale(raw: np.ndarray, path: Path) -> float:
 def metres(raw: np.ndarray, scale: float) -> np.ndarray:
     """Depth [H, W] of ``scale`` units a metre as float32 metres; see `read_depth`."""
     known = np.isfinite(raw) & (raw > 0)
-    if raw.dtype.kind != "f":
+    if raw.dtype.kind != "f" and raw.dtype.itemsize == 2:
         known &= raw < 65535
     return (np.where(known, raw, 0) / scale).astype(np.float32)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,6 +133,7 @@ def write_groundtruth(
     memory: int = 2**30,
     device: torch.device | str = "cpu",
     frames: Sequence[int] | None = None,
+    training: bool = True,
 ) -> None:
     """Fuse a capture's depth and write its ground truth (not atomic; see `files`).
 
@@ -145,6 +146,7 @@ def write_groundtruth(
         memory: bytes that the fusion may take.
         device: where to fuse.
         frames: those to fuse; None: all.
+        training: with what only training needs: signed distances, distances, centres of chunks.
 
     Raises:
         TFLabError: the depth maps give no surface.
@@ -154,17 +156,20 @@ def write_groundtruth(
     meshes = []
     with (
         _volume(directory / "occlusion_mask.npy", grid, np.uint8) as occlusion,
-        _volume(directory / "sdf.npy", grid, np.float16) as sdf,
+        _volume(directory / "sdf.npy", grid, np.float16) if training else nullcontext() as sdf,
     ):
         for rows, slab in fused:
             occlusion((slab.weight == 0)[:rows])
-            sdf(signed_distance(slab)[:rows])
+            if sdf is not None:
+                sdf(signed_distance(slab)[:rows])
             meshes.append(extract_mesh(slab))
     surface = join(meshes) if mesh is None else mesh
     if not len(surface.faces):
         raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
     surface.export(directory / "mesh_gt.ply")
     np.savetxt(directory / "world2grid.txt", torch.linalg.inv(grid.world_T_index).numpy())
+    if not training:
+        return
     tree = _tree(surface)
     with _volume(directory / "distance.npy", grid, np.float16) as distance:
         for first, last in slabs(grid, memory):

@@ -139,6 +139,11 @@ def _why_unknown(path: Path) -> str:
     if inner is not None:
         return f"holds captures, and is none itself; give one of them, such as {inner}"
     if found := _pictures(path):
+        if (path / "poses.txt").is_file():
+            return (
+                f"{found} and poses.txt, but not as {plain.LAYOUT}; put the images in images/, or "
+                "keep one video"
+            )
         return (
             f"{found}, but no camera poses; {HOW_TO_POSES}; of a known layout, format=NAME says "
             "which of its files is missing"

@@ -21,7 +21,14 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tf_lab.data.readers.colmap_model import ModelImage, count_images, has_model, read_model
-from tf_lab.data.readers.images import at_file_size, frame_names, is_file, natural_order
+from tf_lab.data.readers.images import (
+    at_file_size,
+    frame_names,
+    image_files,
+    in_order,
+    is_file,
+    natural_order,
+)
 from tf_lab.data.readers.parsing import pose_of_quaternion
 from tf_lab.data.readers.source import ColorFile, SourceCapture, SourceFrame, collect
 from tf_lab.data.reading import Convention
@@ -57,7 +64,7 @@ def read(directory: Path) -> SourceCapture:
     cameras, images = read_model(model)
     folder = _images(model, [image.name for image in images])
     found, skipped = [], []
-    for image in sorted(images, key=lambda image: natural_order(PurePosixPath(image.name))):
+    for image in in_order(images, lambda image: PurePosixPath(image.name)):
         file = folder / image.name
         try:
             if not is_file(file):
@@ -67,6 +74,7 @@ def read(directory: Path) -> SourceCapture:
             found.append((image.name, cameras[image.camera], _pose(image), file))
         except ValueError as error:
             skipped.append(f"{image.name[:200]}: {error}")
+    skipped += _unregistered(folder, [image.name for image in images])
     names = frame_names([PurePosixPath(name) for name, _, _, _ in found])
     sized = at_file_size([camera for _, camera, _, _ in found], [file for _, _, _, file in found])
     frames = [
@@ -94,6 +102,15 @@ def _images(model: Path, names: Sequence[str]) -> Path:
         raise TFLabError(f"{model}: no folder of images with it; looked for {looked}")
     holding = (folder for folder in found if any(is_file(folder / name) for name in names))
     return next(holding, found[0])
+
+
+def _unregistered(folder: Path, names: Sequence[str]) -> list[str]:
+    """The images in the folders of those in the model that it has not, with the reason."""
+    known = {PurePosixPath(name) for name in names}
+    parents = sorted({folder / name.parent for name in known if is_file(folder / name)})
+    files = [file.relative_to(folder) for parent in parents for file in image_files(parent)]
+    lost = [file.as_posix() for file in files if PurePosixPath(file.as_posix()) not in known]
+    return [f"{name[:200]}: not in the model (COLMAP found no pose for it)" for name in lost]
 
 
 def _pose(image: ModelImage) -> np.ndarray:

@@ -81,6 +81,8 @@ class Video:
             self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self.upright))
         self._position = -1  # the number of the frame that the decoder holds
         if not self._capture.isOpened():
+            if not self.path.is_file():
+                raise TFLabError(f"{self.path}: no such video")
             raise TFLabError(f"{self.path}: cannot be read as a video; {CURE}")
         return self._capture
 

@@ -6,7 +6,9 @@ import logging
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
+from decimal import Decimal
 from pathlib import Path, PurePath
+from typing import TypeVar
 
 from PIL import Image
 
@@ -20,6 +22,9 @@ DEPTH_SUFFIXES = (".png", ".npy", ".tif", ".tiff")
 MAX_HEADERS = 100  # of a capture's images are read to tell their size
 OFF_CENTRE = 0.1  # of the image: principal points are nearer to its middle
 _NUMBERS = re.compile(r"\d+")
+_DECIMAL = re.compile(r"(\d+)\.(\d+)")
+
+T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
@@ -46,12 +51,26 @@ def _files(directory: Path, suffixes: Sequence[str]) -> list[Path]:
         files = [path for path in directory.iterdir() if path.suffix.lower() in suffixes]
     except OSError as error:
         raise TFLabError(f"{directory}: cannot be read ({error.strerror})") from error
-    return sorted((path for path in files if not path.name.startswith(".")), key=natural_order)
+    return in_order([path for path in files if not path.name.startswith(".")], lambda path: path)
 
 
 def natural_order(path: PurePath) -> tuple[list[list[tuple[str, int, str]]], str]:
     """A key to sort paths by, folder by folder, with the numbers in them as numbers."""
     return [natural(part) for part in (*path.parent.parts, path.stem)], str(path)
+
+
+def in_order(items: Sequence[T], path: Callable[[T], PurePath]) -> list[T]:
+    """Items in the natural order of their files, which for names that are seconds is that of time.
+
+    Seconds lose the zeros at the end (1.05, 1.1): a zero before other digits after the point, in
+    names of several lengths, tells them from counters (1.9, 1.10).
+    """
+    found = [_DECIMAL.fullmatch(path(item).stem) for item in items]
+    fractions = [match[2] for match in found if match]
+    zeros = any(f.startswith("0") and len(f) > 1 for f in fractions)
+    if len(fractions) == len(items) and zeros and len({*map(len, fractions)}) > 1:
+        return sorted(items, key=lambda item: (Decimal(path(item).stem), str(path(item))))
+    return sorted(items, key=lambda item: natural_order(path(item)))
 
 
 def frame_names(files: Sequence[PurePath]) -> list[str]:
@@ -108,12 +127,21 @@ def at_file_size(cameras: Sequence[Camera], files: Sequence[Path]) -> list[Camer
     Most of the files of each size of camera decide; the others are told when they are read.
 
     Raises:
-        TFLabError: the images have another shape, or none can be read.
+        TFLabError: the images of every camera have another shape, or none can be read. Those of
+            single cameras are told when they are read.
     """
     by_size = defaultdict(list)
     for camera, file in zip(cameras, files, strict=True):
         by_size[camera.size].append(file)
-    sizes = {size: _size_of_shape(those, size) for size, those in by_size.items()}
+    sizes, refused = {}, []
+    for size, those in by_size.items():
+        try:
+            sizes[size] = _size_of_shape(those, size)
+        except TFLabError as error:
+            sizes[size] = size
+            refused.append(error)
+    if refused and len(refused) == len(by_size):
+        raise refused[0]
     resized = {camera: camera.resized(sizes[camera.size]) for camera in set(cameras)}
     return [resized[camera] for camera in cameras]
 

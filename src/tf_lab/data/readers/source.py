@@ -193,12 +193,16 @@ class SourceCapture:
             return None
         depth = frame.depth()
         size = (depth.shape[1], depth.shape[0])
-        camera = frame.depth_camera or (frame.depth_view or frame.camera).resized(size)
-        if camera.size != size:
+        seen = frame.depth_camera or frame.depth_view or frame.camera
+        shape = seen.size
+        if frame.depth_camera is not None and shape != size:
+            raise TFLabError(f"{frame.depth}: is {_by(size)}, its camera {_by(shape)}")
+        if abs(size[0] * shape[1] - size[1] * shape[0]) > max(shape):  # rounding to whole pixels
             raise TFLabError(
-                f"{frame.depth}: is {size[0]}x{size[1]}, its camera "
-                f"{camera.size[0]}x{camera.size[1]}"
+                f"{frame.depth}: is {_by(size)}, its image {_by(shape)}, of another shape; turn or "
+                "crop it as the image is"
             )
+        camera = seen.resized(size)
         return register_depth(depth, camera, self.cameras[index], frame.color_T_depth)
 
 
@@ -248,7 +252,11 @@ def usable(given: Given, centred: bool = True) -> SourceCapture:
             "every frame needs a colour image and a rigid camera-to-world pose"
         )
     size = Counter(frame.camera.size for frame in kept).most_common(1)[0][0]
-    pinholes = {camera: _pinhole(source, camera, size) for camera in {f.camera for f in kept}}
+    pinholes, senseless = _pinholes({frame.camera for frame in kept}, size)
+    left_out += [f"{f.name}: {senseless[f.camera]}" for f in kept if f.camera in senseless]
+    kept = [frame for frame in kept if frame.camera in pinholes]
+    if not kept:
+        raise TFLabError(f"{source}: {next(iter(senseless.values()))}")
     cameras = [pinholes[frame.camera] for frame in kept]
     return SourceCapture(
         name=source.resolve().name if source.is_dir() else source.stem,
@@ -268,7 +276,7 @@ def _why_unusable(frame: SourceFrame, centred: bool) -> str | None:
     if not np.isfinite(frame.world_T_cam).all():
         return "the pose has NaN or infinity (frame lost)"
     if not is_valid_pose(torch.from_numpy(frame.world_T_cam)):
-        return "the pose is not a rigid transform"
+        return f"the pose is not a rigid transform{_what_else(frame.world_T_cam)}"
     if np.abs(frame.world_T_cam[:3, 3]).max() > MAX_DISTANCE:
         return "the camera is impossibly far from the origin"
     for name, camera in (("", frame.camera), ("depth: ", frame.depth_camera)):
@@ -279,6 +287,20 @@ def _why_unusable(frame: SourceFrame, centred: bool) -> str | None:
                 "size, or intrinsics_size=[WIDTH,HEIGHT] says which images they are of"
             )
     return None
+
+
+def _what_else(pose: np.ndarray) -> str:
+    """What a matrix [4, 4] that is no pose is, where that can be told."""
+    mirrored = pose * np.array([-1.0, 1.0, 1.0, 1.0])
+    if is_valid_pose(torch.from_numpy(np.ascontiguousarray(pose.T))):
+        return " (but it is one column by column: transpose the matrices)"
+    if is_valid_pose(torch.from_numpy(mirrored)):
+        return " (an axis is mirrored, as by a left-handed world)"
+    return ""
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"
 
 
 def _sized(frame: SourceFrame) -> SourceFrame:
@@ -299,8 +321,14 @@ def _unscaled(source: Path, frames: Sequence[SourceFrame]) -> list[SourceFrame]:
     return [replace(f, world_T_cam=pose) for f, pose in zip(frames, poses, strict=True)]
 
 
-def _pinhole(source: Path, camera: Camera, size: tuple[int, int]) -> Camera:
-    try:
-        return camera.pinhole(size)
-    except TFLabError as error:
-        raise TFLabError(f"{source}: {error}") from error
+def _pinholes(
+    cameras: Iterable[Camera], size: tuple[int, int]
+) -> tuple[dict[Camera, Camera], dict[Camera, TFLabError]]:
+    """Cameras without distortion, and why some cannot be."""
+    found, senseless = {}, {}
+    for camera in cameras:
+        try:
+            found[camera] = camera.pinhole(size)
+        except TFLabError as error:
+            senseless[camera] = error
+    return found, senseless

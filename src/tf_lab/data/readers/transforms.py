@@ -42,8 +42,8 @@ from tf_lab.data.readers.images import (
     at_file_size,
     frame_names,
     image_size,
+    in_order,
     is_file,
-    natural_order,
 )
 from tf_lab.data.readers.parsing import opencv_of_opengl
 from tf_lab.data.readers.source import ColorFile, DepthFile, SourceCapture, SourceFrame, collect
@@ -147,14 +147,19 @@ def _entries(file: Path, document: dict[str, Any]) -> tuple[list[_Entry], list[s
             skipped.append(f"frame {i}: no image {path[:200]!r}")
             continue
         entries.append(_Entry(Path(path).parent / color.name, {**document, **frame}, color))
-    return sorted(entries, key=lambda entry: natural_order(entry.file)), skipped
+    return in_order(entries, lambda entry: entry.file), skipped
 
 
 def _default_size(entries: list[_Entry]) -> tuple[int, int]:
     """The size of the images, where a frame does not state it."""
     if all("w" in entry.settings and "h" in entry.settings for entry in entries):
         return 0, 0
-    return image_size([entry.color for entry in entries])
+    first = entries[0].settings
+    try:
+        centre = (number(first, "cx") - 0.5, number(first, "cy") - 0.5)
+    except ValueError:  # not stated
+        centre = None
+    return image_size([entry.color for entry in entries], centre)
 
 
 def _pose(settings: dict[str, Any]) -> np.ndarray:
