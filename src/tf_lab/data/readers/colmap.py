@@ -106,11 +106,10 @@ def _images(model: Path, names: Sequence[str]) -> Path:
 
 def _unregistered(folder: Path, names: Sequence[str]) -> list[str]:
     """The images in the folders of those in the model that it has not, with the reason."""
-    known = {PurePosixPath(name) for name in names}
-    parents = sorted({folder / name.parent for name in known if is_file(folder / name)})
-    files = [file.relative_to(folder) for parent in parents for file in image_files(parent)]
-    lost = [file.as_posix() for file in files if PurePosixPath(file.as_posix()) not in known]
-    return [f"{name[:200]}: not in the model (COLMAP found no pose for it)" for name in lost]
+    known = {folder / name for name in names}
+    parents = sorted({file.parent for file in known if is_file(file)})
+    files = [file for parent in parents for file in image_files(parent) if file not in known]
+    return [f"{file.name}: not in the model (COLMAP found no pose for it)" for file in files]
 
 
 def _pose(image: ModelImage) -> np.ndarray:
