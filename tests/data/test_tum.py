@@ -49,6 +49,22 @@ def test_the_nearest_pose_is_taken(tmp_path: Path) -> None:
     assert positions(folder) == [1, 3, 5]
 
 
+def test_lists_that_were_written_on_windows(tmp_path: Path) -> None:
+    folder = write(tmp_path / "a", [1.0, 2.0], [1.0, 2.0], [1.0, 2.0])
+    for name in ("rgb.txt", "depth.txt"):
+        (folder / name).write_text((folder / name).read_text().replace("/", "\\"))
+    capture = open_capture(folder)
+    depth = capture.depth(1)
+    assert capture.frames == ["1.000000", "2.000000"] and depth is not None and (depth == 2).all()
+
+
+def test_timestamps_in_nanoseconds_are_told(tmp_path: Path) -> None:
+    start = 1_693_224_432_000_000_000
+    folder = write(tmp_path / "a", [start], [start + 1_000_000])  # 1 ms apart
+    with pytest.raises(TFLabError, match=r"groundtruth\.txt: \d+ is no timestamp in seconds"):
+        open_capture(folder)
+
+
 def test_a_pose_too_far_away_does_not_count(tmp_path: Path) -> None:
     times = [1.0, 1.5, 2.0, 2.5]
     folder = write(tmp_path / "a", times, [1.02, 1.5201, 1.98, 2.4799])

@@ -45,6 +45,7 @@ ASSOCIATIONS = "associations.txt"
 CONVENTION = Convention(quaternions="xyzw")
 DOWN = (0.0, 0.0, -1.0)
 DEPTH_SCALE = 5000.0  # units a metre
+MOST_SECONDS = 1e11  # a clock that counts from 1970 is below it
 INTRINSICS = ("camera-intrinsics.txt", "K.txt")
 
 _SIZE = (640, 480)
@@ -77,7 +78,7 @@ def read(directory: Path) -> SourceCapture:
     kept: dict[str, tuple[Path, np.ndarray, DepthFile | None]] = {}
     skipped = []
     for time, file, depth in _images(directory):
-        color = directory / file
+        color = _file(directory, file)
         try:
             if color.stem in kept:
                 raise ValueError("a second image of that name")
@@ -89,6 +90,11 @@ def read(directory: Path) -> SourceCapture:
             continue
         kept[color.stem] = color, pose, _depth(directory, depth)
     if not kept:
+        if poses.times and poses.times[-1] > MOST_SECONDS:
+            raise TFLabError(
+                f"{directory / 'groundtruth.txt'}: {poses.times[-1]:.0f} is no timestamp in "
+                "seconds; divide those of all its lists, nanoseconds by 1e9"
+            )
         return collect(directory, [], skipped)
     camera = _camera(directory, image_size([color for color, _, _ in kept.values()]))
     frames = [
@@ -132,9 +138,13 @@ def _pose(words: Sequence[str] | None) -> np.ndarray:
 
 
 def _depth(directory: Path, file: str | None) -> DepthFile | None:
-    if file is None or not is_file(directory / file):
+    if file is None or not is_file(_file(directory, file)):
         return None
-    return DepthFile(directory / file, DEPTH_SCALE)
+    return DepthFile(_file(directory, file), DEPTH_SCALE)
+
+
+def _file(directory: Path, name: str) -> Path:
+    return directory / name.replace("\\", "/")  # written on Windows
 
 
 def _camera(directory: Path, size: tuple[int, int]) -> Camera:
