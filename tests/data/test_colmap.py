@@ -261,6 +261,26 @@ def test_images_without_a_pose_are_counted(text: Write) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    "camera", ["2 FOV 120 90 1 1 1 1 1", "2 PINHOLE 120 90 3 -3 61 44.5"]
+)  # an unknown lens, an impossible one
+def test_a_camera_that_cannot_be_used_costs_its_own_images(text: Write, camera: str) -> None:
+    images = f"1 {POSE} 1 0.png\n\n2 {POSE} 2 1.png\n\n"
+    capture = colmap.read(text(f"{camera}\n{PINHOLE}\n", images, count=2))
+    assert capture.frames == ["0"]
+    assert len(capture.skipped) == 1 and capture.skipped[0].startswith("1.png: line 1: ")
+    alone = colmap.read(text(f"{camera}\n{PINHOLE}\n", f"1 {POSE} 1 0.png\n\n"))
+    assert alone.frames == ["0"]
+
+
+def test_binary_cameras_after_one_of_an_unknown_lens(binary: Write) -> None:
+    folder = binary()
+    known = (folder / "cameras.bin").read_bytes()[8:]  # of one camera
+    unknown = struct.pack("<IiQQ5d", 9, 7, 120, 90, *[1.0] * 5)
+    (folder / "cameras.bin").write_bytes(struct.pack("<Q", 2) + unknown + known)
+    assert colmap.read(folder).frames == ["0"]
+
+
 def test_a_senseless_lens_costs_its_own_images(text: Write) -> None:
     cameras = f"{PINHOLE}\n2 SIMPLE_RADIAL 120 90 110 61 44.5 -4\n"
     capture = colmap.read(text(cameras, f"1 {POSE} 1 0.png\n\n2 {POSE} 2 1.png\n\n", count=2))

@@ -69,9 +69,10 @@ def read(directory: Path) -> SourceCapture:
         try:
             if not is_file(file):
                 raise ValueError(f"no such image in {folder}")
-            if image.camera not in cameras:
-                raise ValueError(f"its camera {image.camera} is not in the model")
-            found.append((image.name, cameras[image.camera], _pose(image), file))
+            camera = cameras.get(image.camera, f"its camera {image.camera} is not in the model")
+            if isinstance(camera, str):
+                raise ValueError(camera)
+            found.append((image.name, camera, _pose(image), file))
         except ValueError as error:
             skipped.append(f"{image.name[:200]}: {error}")
     skipped += _unregistered(folder, [image.name for image in images])

@@ -38,6 +38,7 @@ _OTHER_MODELS = {  # for the message
     7: "FOV", 10: "THIN_PRISM_FISHEYE", 11: "RAD_TAN_THIN_PRISM_FISHEYE", 12: "SIMPLE_DIVISION",
     13: "DIVISION", 16: "EUCM", 17: "EQUIRECTANGULAR",
 }  # fmt: skip
+_OTHER_COUNTS = {"FOV": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16}  # parameters
 _NAMES = {number: name for name, (number, _) in _MODELS.items()} | _OTHER_MODELS
 
 
@@ -49,6 +50,10 @@ class ModelImage:
     camera: int
     quaternion: tuple[float, ...]
     translation: tuple[float, ...]
+
+
+class _RefusedError(ValueError):
+    """A camera that is written as it should be, and cannot be used."""
 
 
 def has_model(folder: Path) -> bool:
@@ -67,11 +72,14 @@ def count_images(folder: Path) -> int:
         return 0
 
 
-def read_model(folder: Path) -> tuple[dict[int, Camera], list[ModelImage]]:
+def read_model(folder: Path) -> tuple[dict[int, Camera | str], list[ModelImage]]:
     """The cameras of a model by their ids, and its images; binary where there are both.
 
+    Returns:
+        Cameras, or why one cannot be used; the images.
+
     Raises:
-        TFLabError: a file is missing or damaged, or a camera's lens is of an unknown model.
+        TFLabError: a file is missing or damaged, or no camera can be used.
     """
     suffix = _suffix(folder) or ".bin"
     read_cameras, read_images = {
@@ -81,6 +89,9 @@ def read_model(folder: Path) -> tuple[dict[int, Camera], list[ModelImage]]:
     file = folder / f"cameras{suffix}"
     try:
         cameras = dict(read_cameras(file))
+        refused = [why for why in cameras.values() if isinstance(why, str)]
+        if refused and len(refused) == len(cameras):
+            raise TFLabError(f"{file}: {refused[0]}")
         file = folder / f"images{suffix}"
         images = list(read_images(file))
     except (OSError, ValueError) as error:  # struct.error is none: all reads are checked
@@ -99,7 +110,7 @@ def _suffix(folder: Path) -> str | None:
 def _camera(model: str, size: tuple[int, int], values: tuple[float, ...]) -> Camera:
     """A camera, with COLMAP's pixel centres, which are at 0.5, turned into ours."""
     if model not in _MODELS:
-        raise ValueError(
+        raise _RefusedError(
             f"the camera model {model[:40]} is not supported; undistort the images with colmap "
             f"image_undistorter, or estimate one of {', '.join(_MODELS)}"
         )
@@ -117,7 +128,7 @@ def _camera(model: str, size: tuple[int, int], values: tuple[float, ...]) -> Cam
             distortion if any(distortion) else (), fisheye,
         )  # fmt: skip
     except TFLabError as error:
-        raise ValueError(f"a {model} camera: {error}") from error
+        raise _RefusedError(f"a {model} camera: {error}") from error
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -129,7 +140,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line.strip()
 
 
-def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+def _text_cameras(path: Path) -> Iterator[tuple[int, Camera | str]]:
     for number, line in _lines(path):
         if not line or line.startswith("#"):
             continue
@@ -137,6 +148,8 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
             name, model, width, height, *values = line.split()
             size = int(width), int(height)
             yield int(name), _camera(model, size, tuple(float(value) for value in values))
+        except _RefusedError as error:
+            yield int(name), f"line {number}: {error}"
         except ValueError as error:
             raise ValueError(f"line {number}: {error}") from error
 
@@ -200,13 +213,19 @@ class _Bytes:
         self._offset += count
 
 
-def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+def _binary_cameras(path: Path) -> Iterator[tuple[int, Camera | str]]:
     data = _Bytes(path)
     for _ in range(data.count(size=24)):
         name, number, width, height = data.numbers("<IiQQ")
         model = _NAMES.get(number, f"number {number}")
-        parameters = len(_MODELS[model][1].split()) if model in _MODELS else 0
-        yield name, _camera(model, (width, height), data.numbers(f"<{parameters}d"))
+        if model not in _MODELS and model not in _OTHER_COUNTS:  # where it ends, nobody knows
+            _camera(model, (width, height), ())
+        parameters = len(_MODELS[model][1].split()) if model in _MODELS else _OTHER_COUNTS[model]
+        values = data.numbers(f"<{parameters}d")
+        try:
+            yield name, _camera(model, (width, height), values)
+        except _RefusedError as error:
+            yield name, str(error)
 
 
 def _binary_images(path: Path) -> Iterator[ModelImage]:
