@@ -144,7 +144,9 @@ LOST = {
     "inf": " ".join(["1 0 0 -inf", "0 1 0 0", "0 0 1 0", "0 0 0 1"]),
     "mirrored": "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1",
     "scaled": "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1",
+    "stray": "1 0 0 9000 0 1 0 0 0 0 1 0 0 0 0 1",
 }
+REASONS = {"nan": "NaN or infinity", "inf": "NaN or infinity", "stray": "off the others"}
 
 
 @layouts
@@ -162,9 +164,8 @@ def test_unusable_poses_are_skipped_and_listed(
     assert len(capture.frames) == COUNT - 1
     assert name not in capture.frames
     assert len(capture.skipped) == 1
-    reason = "NaN or infinity" if kind in ("nan", "inf") else "not a rigid"
     assert capture.skipped[0].startswith(f"{name}: ")
-    assert reason in capture.skipped[0]
+    assert REASONS.get(kind, "not a rigid") in capture.skipped[0]
     np.testing.assert_array_equal(capture.image(2), known_images()[3])  # images stay with poses
 
 

@@ -20,6 +20,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
 
 MAX_DISTANCE = 1e8  # units of the source; geocentric coordinates in metres are smaller
+STRAY = 100  # units of the source, and times as far off as three in four of the cameras
 
 logger = logging.getLogger(__name__)
 
@@ -251,6 +252,9 @@ def usable(given: Given, centred: bool = True) -> SourceCapture:
             f"{source}: no usable frame{found and ' (' + found + ')'}; "
             "every frame needs a colour image and a rigid camera-to-world pose"
         )
+    strays = _strays(kept)
+    left_out += strays.values()
+    kept = [frame for i, frame in enumerate(kept) if i not in strays]
     size = Counter(frame.camera.size for frame in kept).most_common(1)[0][0]
     pinholes, senseless = _pinholes({frame.camera for frame in kept}, size)
     left_out += [f"{f.name}: {senseless[f.camera]}" for f in kept if f.camera in senseless]
@@ -287,6 +291,18 @@ def _why_unusable(frame: SourceFrame, centred: bool) -> str | None:
                 "size, or intrinsics_size=[WIDTH,HEIGHT] says which images they are of"
             )
     return None
+
+
+def _strays(frames: Sequence[SourceFrame]) -> dict[int, str]:
+    """Frames, by index, whose camera is so far from the others that its tracker was lost."""
+    centers = np.stack([frame.world_T_cam[:3, 3] for frame in frames])
+    away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
+    limit = STRAY * max(1.0, np.quantile(away, 0.75))
+    return {
+        i: f"{frame.name}: the camera is {away[i]:.4g} off the others (tracking lost?)"
+        for i, frame in enumerate(frames)
+        if away[i] > limit
+    }
 
 
 def _what_else(pose: np.ndarray) -> str:
