@@ -139,10 +139,10 @@ class DiverseSelection:
     Of the K + 1 measurements the one of the lowest score goes: its logit, plus a Gumbel variate:
     views are drawn without replacement by softmax weights (Gumbel top-k, Kool et al. 2019), which a
     smaller share of the logit tempers. The variates are hashed from (seed, voxel, frame):
-    neighbouring voxels keep other views, and their 3D CNN meets more of them. What is best of val
-    flats, rooms and RedKitchen is the default (docs/study.md). So it is to leave out the angle to
-    the nearest other viewing direction, of which a share of the logarithm may be added, for O(K^2)
-    small products a voxel: on a val room it made no difference.
+    neighbouring voxels keep other views, and their 3D CNN meets more of them. The defaults were
+    chosen on val flats, rooms and RedKitchen (docs/study.md). A share of the logarithm of the angle
+    to the nearest other viewing direction may be added, for O(K^2) small products a voxel; on a val
+    room it made no difference.
 
     Args:
         seed: of the variates.
