@@ -318,3 +318,18 @@ def test_what_scores_need_is_the_same_without_what_training_needs(tmp_path: Path
     assert some < {path.name for path in (tmp_path / "all").iterdir()}
     for name in some:
         assert (tmp_path / "some" / name).read_bytes() == (tmp_path / "all" / name).read_bytes()
+
+
+def test_how_fine_a_given_mesh_is_does_not_move_the_chunks(tmp_path: Path) -> None:
+    pose, K = box_room.look(np.zeros(3), 0.0, 0.0), box_room.intrinsics()
+    frame = Frame("a", np.zeros((60, 80, 3), np.uint8), K, pose, np.full((60, 80), 2.0, np.float32))
+    scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
+    write_groundtruth(scene, tmp_path / "own", GroundTruthSettings())
+    own = trimesh.load(tmp_path / "own" / "mesh_gt.ply", process=False)
+    finer = own.subdivide().subdivide()
+    write_groundtruth(scene, tmp_path / "given", GroundTruthSettings(), mesh=finer)
+    given = trimesh.load(tmp_path / "given" / "mesh_gt.ply", process=False)
+    assert len(given.vertices) == len(finer.vertices)
+    chunks = [dict(np.load(tmp_path / name / "chunks.npz")) for name in ("own", "given")]
+    for name in ("centers", "weight"):
+        np.testing.assert_array_equal(chunks[0][name], chunks[1][name])

@@ -1,4 +1,4 @@
-"""Where in a scene to train: fewer chunks in free space, more with furniture (paper, Sec. 3.3)."""
+"""Where in a scene to train: fewer chunks in free space, more with furniture (paper, Sec. 3.5)."""
 
 from __future__ import annotations
 

@@ -163,7 +163,8 @@ def write_groundtruth(
             if sdf is not None:
                 sdf(signed_distance(slab)[:rows])
             meshes.append(extract_mesh(slab))
-    surface = join(meshes) if mesh is None else mesh
+    seen = join(meshes)
+    surface = seen if mesh is None else mesh
     if not len(surface.faces):
         raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
     surface.export(directory / "mesh_gt.ply")
@@ -175,7 +176,8 @@ def write_groundtruth(
         for first, last in slabs(grid, memory):
             part = grid.block((first, 0, 0), (last, *grid.shape[1:]))
             distance(surface_distance(tree, part))
-    centers, weight = chunk_candidates(surface, grid, structure=structure)
+    # of vertices as dense as the grid's, which a given mesh's need not be
+    centers, weight = chunk_candidates(seen, grid, structure=structure)
     np.savez(directory / "chunks.npz", centers=centers, weight=weight)
 
 

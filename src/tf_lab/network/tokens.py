@@ -19,7 +19,7 @@ class Measurements(NamedTuple):
     Attributes:
         phi: [..., C] sampled features; read as zero where invalid.
         depth: [...] camera-space depth in metres.
-        valid: [...] bool, the projection lies on the image.
+        valid: [...] bool, the projection lies on the image, within the network's range of depth.
         ray: [..., 3] unit rays.
         stereo: [..., 2] what the view's own depth map says at the projection, metres (0: nothing)
             and the score there; [..., 0] without such maps.

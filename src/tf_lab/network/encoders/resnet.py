@@ -1,7 +1,8 @@
 """ResNet (He et al. 2016) of basic blocks as a trunk, with a pyramid.
 
-The state-dict keys are torchvision's, so that its ImageNet weights load as they are. The paper does
-not say which layers give the features; the strides are config values (1/16 and 1/4 at paper size).
+The state-dict keys are torchvision's, so that its ImageNet weights load as they are. The paper's
+text does not say which layers give the features; the strides are config values (at the paper's size
+1/16 and 1/4).
 """
 
 from __future__ import annotations

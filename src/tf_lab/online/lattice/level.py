@@ -95,7 +95,7 @@ class Level:
         return self.network.selection_logits(self.name, self.network.embed(self.name, measured))
 
     def keys(self, rows: Tensor) -> Tensor:
-        """Lattice coordinates [M, 3] that no two voxels of any level share."""
+        """Lattice coordinates [M, 3] of the centres, which no two voxels of a level share."""
         steps = round(self.voxel / LATTICE)
         return self.blocks.voxels(rows) * steps + steps // 2
 
