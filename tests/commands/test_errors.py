@@ -364,6 +364,14 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("sede=1", ("sede: no such setting", "did you mean seed")),
         ("steps=9", ("steps: no such setting", "did you mean optimizer.steps?")),
         ("model.depths=3", ("model.depths: no such setting",)),
+        (
+            "data.frames=3 data=captures",
+            (
+                "data.frames: no such setting",
+                "did you mean data.",
+                "tf_lab.train data=captures --help",
+            ),
+        ),
         ("modle=tiny", ("modle: no such setting", "did you mean model?")),
         ("fusion=foo", ("fusion=foo: no such choice", "transformer", "avg", "pred")),
         ("select=attention", ("select=attention: no such choice", "did you mean select=attn?")),

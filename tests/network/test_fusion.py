@@ -9,9 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from tf_lab.errors import TFLabError
 from tf_lab.network.fusion import FUSIONS, FusionPart, make_fusion
 from tf_lab.network.fusion.contract import CHECKS, HEADS, D, K, example, slots_of, tokens_of
-from tf_lab.network.fusion.strategy import Fusion
+from tf_lab.network.fusion.strategy import Fusion, check_outputs
 from tf_lab.network.fusion.transformer import _attend_by_products
 from tf_lab.support.registry import Part
 
@@ -188,3 +189,35 @@ def test_attention_by_products_is_torchs(masked: bool) -> None:
     expected = F.scaled_dot_product_attention(query[..., :2, :], key, value, attn_mask=mask)
     found = _attend_by_products(query[..., :2, :], key, value, mask)
     torch.testing.assert_close(found, expected)
+
+
+class Wrong(Fusion):
+    """Gives what it is told to."""
+
+    ranks_views = False
+    given: Any = None
+
+    def forward(self, tokens: Tensor, slots: Tensor | None = None) -> Any:
+        return self.given
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (torch.zeros(2, D), "gives no pair"),
+        (
+            (torch.zeros(2, D - 1), torch.ones(2, 3) / 3),
+            r"features of \(2, 15\).*\(2, 16\) is wanted",
+        ),
+        (
+            (torch.zeros(2, D), torch.ones(2, 3, 1) / 3),
+            r"weights of \(2, 3, 1\).*\(2, 3\) is wanted",
+        ),
+        ((torch.zeros(2, D), torch.ones(2, 3)), "weights that sum to 3"),
+    ],
+)
+def test_a_strategy_that_gives_something_else_is_named(given: Any, said: str) -> None:
+    strategy = Wrong(D, 1, HEADS, 2.0)
+    strategy.given = given
+    with pytest.raises(TFLabError, match=said):
+        check_outputs(strategy, D)

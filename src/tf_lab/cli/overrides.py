@@ -100,15 +100,17 @@ def _wanted(error: BaseException | None) -> str:
     return next((wanted for name, wanted in _WANTED.items() if name in text), f"another: {text}")
 
 
-def explain(error: Exception, conf: Path, name: str) -> str:
+def explain(error: Exception, conf: Path, name: str, overrides: Sequence[str] = ()) -> str:
     """An error of Hydra in one line: what is wrong, and what there is.
 
     Args:
         error: what Hydra raised.
         conf: the directory of the configs.
         name: of the command and its config.
+        overrides: of the command line.
     """
-    more = f"`python -m tf_lab.{name} --help` lists all"
+    chosen = _choices(overrides, conf)
+    more = f"`{shlex.join(['python', '-m', f'tf_lab.{name}', *chosen])} --help` lists all"
     text = str(error) or str(error.__cause__)
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
         group, _, choice = error.missing_cfg_file.rpartition("/")
@@ -128,7 +130,7 @@ def explain(error: Exception, conf: Path, name: str) -> str:
         return f"{where}: must be {_wanted(cause)}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown.group(1)
-        return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name)}; {more}"
+        return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name, chosen)}; {more}"
     if several := re.match(r"Ambiguous value for argument '(.+)'\n", text):
         key, _, values = several.group(1).partition("=")
         whole = shlex.quote(f"{key}=[{values}]")
@@ -136,14 +138,21 @@ def explain(error: Exception, conf: Path, name: str) -> str:
     return " ".join(text.split())
 
 
-def _nearest(key: str, conf: Path, name: str) -> str:
+def _choices(overrides: Sequence[str], conf: Path) -> list[str]:
+    """The overrides that choose one option of a group, on which the settings depend."""
+    groups = {path.name for path in conf.iterdir() if path.is_dir()}
+    groups |= {each.group for each in PARTS}
+    return [word for word in overrides if re.fullmatch(rf"({'|'.join(groups)})=\w+", word)]
+
+
+def _nearest(key: str, conf: Path, name: str, chosen: list[str]) -> str:
     """A question: the settings that may have been meant, if any is like it."""
     with initialize_config_dir(str(conf), version_base="1.3"):
-        cfg = compose(name, return_hydra_config=True)
+        cfg = compose(name, chosen, return_hydra_config=True)
     values = OmegaConf.to_container(cfg)
     assert isinstance(values, dict)
     names = [*_names(values), *cfg.hydra.runtime.choices]
-    known = dict.fromkeys(n for n in names if not n.startswith("hydra"))
+    known = dict.fromkeys(n for n in names if not n.startswith("hydra") and n != key)
     same = [k for k in known if k.rpartition(".")[2] == key.rpartition(".")[2]]
     meant = same or difflib.get_close_matches(key, known, 2)
     return f" (did you mean {' or '.join(meant)}?)" if meant else ""

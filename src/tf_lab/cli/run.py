@@ -58,7 +58,7 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
 
     composed.jobs = jobs  # type: ignore[attr-defined]  # for the launcher
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises its errors instead of printing them
-    conf = conf_dir()
+    conf, given = conf_dir(), argparse.Namespace(overrides=[])
     try:
         register()
         given = _command_line(COMMANDS[name])
@@ -69,7 +69,7 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
             check_launcher(given)
             hydra.main(version_base="1.3", config_path=str(conf), config_name=name)(composed)()
     except (HydraException, OmegaConfBaseException, TFLabError) as error:
-        _tell(overrides.explain(error, conf, name))
+        _tell(overrides.explain(error, conf, name, given.overrides))
         sys.exit(2)
     except BrokenPipeError:  # whoever reads has seen enough
         os._exit(1)
@@ -79,7 +79,7 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
 
 
 def _command_line(schema: type) -> argparse.Namespace:
-    """The command line, from here on with its texts quoted for Hydra.
+    """The command line, from here on with its options first and its texts quoted for Hydra.
 
     Raises:
         TFLabError: it has an option that there is not, or an empty text.
@@ -90,10 +90,11 @@ def _command_line(schema: type) -> argparse.Namespace:
         raise TFLabError(f"{message}; settings are NAME=VALUE, --help lists them")
 
     parser.error = error  # type: ignore[method-assign]
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     texts = text_settings.Texts.of(schema)
     quoted = text_settings.quote_overrides(given.overrides, texts, overrides.is_sweep(given))
-    sys.argv = [sys.argv[0], *(quoted.get(word, word) for word in sys.argv[1:])]
+    options = [word for word in sys.argv[1:] if word not in given.overrides]
+    sys.argv = [sys.argv[0], *options, *(quoted.get(word, word) for word in given.overrides)]
     return parser.parse_args()
 
 

@@ -28,7 +28,10 @@ def run(config: PrepareConfig) -> None:
         check_folder(Path(config.shards))
     source = open_source(config.data)
     prepared = source.prepare(config.splits, config.check)
-    print(prepared.summary)
+    if prepared.summary:
+        print(prepared.summary)
+    for name, reason in prepared.failed.items():
+        print(f"  failed {name}: {reason}")
     if isinstance(source, EmbeddedSource):
         held_out = [s for s in prepared.scenes if s != "train" and prepared.scenes[s]]
         for split in held_out:

@@ -322,7 +322,7 @@ def _say_changes(folder: Path, before: Mapping[str, Sources]) -> None:
 
 
 def summarise(prepared: Prepared, folder: Path) -> str:
-    """What was made, skipped and why, as text; ``prepare.json`` in the folder has all of it."""
+    """What was made and skipped, as text; ``prepare.json`` in the folder has all of it."""
     reasons: Counter[str] = Counter()
     details: dict[str, Any] = {}
     frames, warnings = 0, []
@@ -336,7 +336,6 @@ def summarise(prepared: Prepared, folder: Path) -> str:
     write_json(folder / "prepare.json", {"scenes": details, "failed": prepared.failed})
     lines = [f"{folder}: {len(prepared.scenes)} scenes, {frames} frames"]
     lines += [f"  skipped {count} frames: {reason}" for reason, count in reasons.most_common(5)]
-    lines += [f"  failed {name}: {reason}" for name, reason in prepared.failed.items()]
     return "\n".join([*lines, *warnings])
 
 

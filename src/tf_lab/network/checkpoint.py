@@ -35,12 +35,13 @@ def save_network(network: Network, path: Path, info: dict[str, Any]) -> None:
         save_file(state, temporary, metadata)
 
 
-def checkpoint_file(path: Path) -> Path:
+def checkpoint_file(path: str | Path) -> Path:
     """The checkpoint of a training's folder; any other path is one itself."""
+    path = Path(path).expanduser()
     return path / WEIGHTS if path.is_dir() else path
 
 
-def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
+def load_network(path: str | Path) -> tuple[Network, dict[str, Any]]:
     """The network of a checkpoint, in evaluation mode on the CPU, and its provenance.
 
     Args:

@@ -10,7 +10,7 @@ from tf_lab.network.agreement import Agreement
 from tf_lab.network.chunks import KeepViews, Predictions, Views
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.fusion import make_fusion
-from tf_lab.network.fusion.strategy import Fusion
+from tf_lab.network.fusion.strategy import Fusion, check_outputs
 from tf_lab.network.occupancy import OccupancyMLP
 from tf_lab.network.refinement import Refinement, upsample
 from tf_lab.network.settings import NetworkConfig
@@ -40,6 +40,7 @@ class Network(nn.Module):
                 for name in LEVELS
             }
         )
+        check_outputs(self.strategy("coarse"), c.width)
         self.refinement = Refinement(c.width, c.refine_blocks if c.refine else 0)
         self.occupancy = OccupancyMLP(c.width, c.hidden)
         # last, so that all other weights are drawn as without it

@@ -46,7 +46,9 @@ def check_camera(K: Tensor, world_T_cam: Tensor, size: tuple[int, int]) -> None:
     Raises:
         TFLabError: it may not.
     """
-    if world_T_cam.shape != (4, 4) or not is_valid_pose(world_T_cam):
+    if world_T_cam.shape != (4, 4):
+        raise TFLabError(f"a pose of shape {tuple(world_T_cam.shape)}; it has to be [4, 4]")
+    if not is_valid_pose(world_T_cam):
         raise TFLabError("a pose that is no rigid transform: the camera is lost")
     if K.shape != (3, 3) or not K.isfinite().all():
         raise TFLabError("intrinsics that are not 3x3 finite numbers")

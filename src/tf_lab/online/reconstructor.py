@@ -229,9 +229,13 @@ class Reconstructor:
         pixels = torch.from_numpy(np.array(image))
         k, pose = (torch.from_numpy(np.array(x)).float() for x in (K, world_T_cam))
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != torch.uint8:
-            raise TFLabError(f"an image of shape {tuple(pixels.shape)} and {pixels.dtype}")
+            kind = f"{tuple(pixels.shape)} and {str(pixels.dtype).removeprefix('torch.')}"
+            raise TFLabError(f"an image of shape {kind}; it has to be uint8 [H, W, 3], RGB")
         if len(self.frames) and (pixels.shape[1], pixels.shape[0]) != self.frames.size:
-            raise TFLabError(f"a frame of {pixels.shape[1]}x{pixels.shape[0]} among others")
+            width, height = self.frames.size
+            raise TFLabError(
+                f"a frame of {pixels.shape[1]}x{pixels.shape[0]} among those of {width}x{height}"
+            )
         check_camera(k, pose, (pixels.shape[1], pixels.shape[0]))
         return pixels.permute(2, 0, 1).contiguous(), k, pose
 

@@ -76,17 +76,11 @@ class PreparedSource(DataSource):
         return bool((self.known.scenes or self.captures((split,)))[split])
 
     def scenes(self, *splits: str) -> dict[str, dict[str, Path]]:
-        """See `DataSource`; scenes that cannot be made are logged and left out."""
+        """See `DataSource`; a run that knows its scenes has those."""
         if table := self.known.scenes:
             return {s: {n: self.folder / n / d for n, d in table[s].items()} for s in splits}
         scenes, made = self._prepared(splits)
-        for name, reason in made.failed.items():
-            log.warning("scene %s is left out: %s", name, reason)
-        chosen = self.captures(splits)
-        for split, found in scenes.items():
-            if chosen[split] and not found:
-                raise TFLabError(f"none of the {split} scenes can be prepared, see above")
-        return scenes
+        return self.usable(Prepared(scenes, made.failed))
 
     def content(self) -> Content:
         """See `DataSource`."""

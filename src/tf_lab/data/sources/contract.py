@@ -25,7 +25,7 @@ def scenes_are_whole(settings: Any) -> None:
     source = open_source(settings)
     for split in SPLITS:
         scenes = source.scenes(split)[split]
-        assert bool(scenes) == source.has(split), split
+        assert bool(scenes) == source.has(split), f"has({split!r}) and scenes({split!r}) differ"
         for directory in scenes.values():
             scene = Scene(directory)
             assert len(scene) > 0 and scene.image(0).ndim == 3

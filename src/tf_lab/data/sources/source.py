@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from tf_lab.data.sources.settings import Content
 from tf_lab.data.stereo_maps import prepare_stereo
 from tf_lab.errors import TFLabError
 
+log = logging.getLogger(__name__)
 ATTRIBUTION = "ATTRIBUTION.txt"  # beside scenes and shards whose images have to come with it
 
 
@@ -28,7 +30,7 @@ class Prepared:
     Attributes:
         scenes: directories by split and name.
         failed: why which scene could not be made.
-        summary: what was made, skipped and why, as text; "": nothing to say.
+        summary: what was made and skipped, as text; "": nothing to say.
     """
 
     scenes: dict[str, dict[str, Path]]
@@ -93,10 +95,21 @@ class DataSource(ABC):
     def scenes(self, *splits: str) -> dict[str, dict[str, Path]]:
         """Scene directories by split and name, made first if they are missing.
 
+        Those that cannot be made are logged and left out.
+
         Raises:
             TFLabError: a split has scenes, and none can be made.
         """
-        return self.prepare(splits).scenes
+        return self.usable(self.prepare(splits))
+
+    def usable(self, prepared: Prepared) -> dict[str, dict[str, Path]]:
+        """The scenes of what was prepared, the failed ones logged; raises as `scenes`."""
+        for name, reason in prepared.failed.items():
+            log.warning("scene %s is left out: %s", name, reason)
+        for split, found in prepared.scenes.items():
+            if not found and self.has(split):
+                raise TFLabError(f"none of the {split} scenes can be prepared, see above")
+        return prepared.scenes
 
     def attribution(self) -> str | None:
         """Whom images of the training scenes have to name, if anybody; see `ATTRIBUTION`."""

@@ -48,7 +48,8 @@ def weights_are_shares(settings: Any) -> None:
     for seed in range(5):
         slots = slots_of(POINTS, seed)
         fused, weights = example(settings)(tokens_of(POINTS, K, seed=seed), slots)
-        assert fused.shape == (POINTS, D) and weights.shape == (POINTS, K)
+        assert fused.shape == (POINTS, D), f"features of {tuple(fused.shape)}"
+        assert weights.shape == (POINTS, K), f"weights of {tuple(weights.shape)}"
         assert (weights >= 0).all() and (weights[~slots] == 0).all()
         assert_close(weights.sum(-1), torch.ones(POINTS))
 

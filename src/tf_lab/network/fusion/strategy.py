@@ -5,7 +5,10 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import ClassVar
 
+import torch
 from torch import Tensor, nn
+
+from tf_lab.errors import TFLabError
 
 
 class Fusion(nn.Module):
@@ -38,3 +41,28 @@ class Fusion(nn.Module):
             NotImplementedError: it does not rank views.
         """
         raise NotImplementedError
+
+
+def check_outputs(strategy: Fusion, width: int) -> None:
+    """Try a strategy on two voxels of three views; what else it promises `contract` checks.
+
+    Raises:
+        TFLabError: it gives no features or weights, some of another shape, or weights that do not
+            sum to 1.
+    """
+    with torch.no_grad(), torch.random.fork_rng(devices=[]):
+        given = strategy.eval()(torch.zeros(2, 3, width))
+    strategy.train()
+    name = type(strategy).__name__
+    wanted = {"features": (2, width), "weights": (2, 3)}
+    if not (isinstance(given, tuple) and len(given) == 2):
+        raise TFLabError(f"{name} gives no pair (features, weights)")
+    for value, (what, shape) in zip(given, wanted.items(), strict=True):
+        if tuple(value.shape) != shape:
+            raise TFLabError(
+                f"{name} gives {what} of {tuple(value.shape)}, for views of (2, 3, {width}): "
+                f"{shape} is wanted"
+            )
+    sums = given[1].sum(-1)
+    if not sums.is_meta and (sums - 1).abs().max() > 1e-3:
+        raise TFLabError(f"{name} gives weights that sum to {sums[0]:.4g}, not to 1")
