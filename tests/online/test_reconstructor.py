@@ -335,6 +335,21 @@ def test_a_frame_of_another_size(tiny_network: Factory, scene: Scene) -> None:
     r.add_frame(scene.image(0), scene.K[0], scene.world_T_cam[0])
 
 
+def test_a_frame_that_cannot_be_one(tiny_network: Factory, scene: Scene) -> None:
+    image, K, pose = scene.image(0), scene.K[0], scene.world_T_cam[0]
+    twice = np.diag([2.0, 2.0, 1.0]) @ K * [1, 1, 2]  # of images of four times the pixels
+    for frame, said in (
+        ((image.transpose(2, 0, 1), K, pose), r"\(3, .*has to be uint8 \[H, W, 3\], RGB"),
+        ((image / 255.0, K, pose), r"float64; it has to be uint8"),
+        ((image, K, pose[:3]), r"\(3, 4\); it has to be \[4, 4\]"),
+        ((image, twice, pose), r"principal point .* outside of the .* of one size"),
+    ):
+        r = reconstruct(tiny_network(), scene, [])
+        with pytest.raises(TFLabError, match=said):
+            r.add_frame(*frame)
+        assert len(r.frames) == 0
+
+
 @pytest.mark.parametrize("views", [0, -1])
 def test_a_voxel_needs_a_view(views: int) -> None:
     with pytest.raises(TFLabError, match="views="):

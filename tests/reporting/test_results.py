@@ -1,6 +1,7 @@
 """Reading finished runs, naming damaged ones, keeping small copies."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import yaml
 
 from helpers.made_up_runs import ROWS, SCENES, change_scores, scores, write_run
 from tf_lab.errors import TFLabError
-from tf_lab.reporting.results import find_runs, keep_run, read_run
+from tf_lab.evaluation.registry import METRICS, PAPER, MetricPart, metric_columns
+from tf_lab.reporting.results import find_runs, keep_run, read_run, told_apart
 
 
 def test_a_run(tmp_path: Path) -> None:
@@ -28,6 +30,26 @@ def test_a_run_of_other_metrics_is_a_run_of_the_same_study(tmp_path: Path) -> No
     assert damaged == []
     assert {*run.scenes[SCENES[0]]} == {*scores(0)} - {"recall"} | {"normals"}
     assert run.settings == plain.settings
+
+
+@dataclass(frozen=True)
+class Reach:
+    name: str = "reach"
+    threshold: float = 0.1
+
+
+def test_a_metric_by_other_settings_has_a_column_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    part = MetricPart("reach", "", Reach, heading="Reach", format=".1f", higher_is_better=False)
+    monkeypatch.setitem(METRICS._parts, "reach", part)
+    found = {"fscore": 0.5, "reach": 0.3}
+    assert told_apart(found, {"reach": Reach()}) == found
+    other = told_apart(found, {"reach": Reach(threshold=0.05)})
+    assert other == {"fscore": 0.5, "reach (threshold=0.05)": 0.3}
+    plain, column = metric_columns([*found, *other])[len(PAPER) :]
+    assert (plain.heading, column.heading) == ("Reach", "Reach (threshold=0.05)")
+    assert (column.format, column.higher_is_better) == (".1f", False)
 
 
 @pytest.mark.parametrize(("row", "overrides"), ROWS.items())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from tf_lab.evaluation.settings import NormalsSettings, PaperSettings
@@ -69,11 +69,15 @@ def with_paper(more: Sequence[Any] = ()) -> list[Any]:
 def metric_columns(names: Iterable[str] = ()) -> list[MetricPart]:
     """The columns of a table in which metrics of these names occur: the paper's always, first.
 
-    Of a metric that is registered no more, only the name is known.
+    A name may be followed by settings, in brackets. Of a metric that is registered no more, only
+    the name is known.
     """
-    return [
-        METRICS[name]
-        if name in METRICS
-        else MetricPart(name, "", object, heading=name, higher_is_better=None)
-        for name in dict.fromkeys([*PAPER, *names])
-    ]
+    return [_column(name) for name in dict.fromkeys([*PAPER, *names])]
+
+
+def _column(name: str) -> MetricPart:
+    plain, space, settings = name.partition(" ")
+    if plain not in METRICS:
+        return MetricPart(name, "", object, heading=name, higher_is_better=None)
+    part = METRICS[plain]
+    return replace(part, name=name, heading=f"{part.heading} {settings}") if space else part

@@ -63,8 +63,9 @@ def run_directory(config: TrainConfig) -> Path:
 def row_label(config: TrainConfig) -> str:
     """The row of the paper's tables that a config is, whatever all rows of its study share."""
     fusion, policy = FUSIONS.named(config.fusion), POLICIES.named(config.select)
-    named = fusion.name != "transformer"
-    parts = [" ".join([fusion.label or fusion.name, *_hyper(config.fusion)])] if named else []
+    parts = []
+    if fusion.name != "transformer":
+        parts = [" ".join([fusion.label or fusion.name, *changed_settings(config.fusion)])]
     parts += [] if config.refine else ["w/o spatial ref."]
     parts += [] if config.filter else ["w/o C2F filter"]
     parts += [] if config.inputs.depth else ["w/o projected depth"]
@@ -73,7 +74,7 @@ def row_label(config: TrainConfig) -> str:
     parts += ["+ stereo"] if config.inputs.stereo else []
     if config.views != PAPER_VIEWS or policy.name != "attention":
         label = [] if policy.name == "attention" else [policy.label or policy.name]
-        selected = " ".join([*label, *_hyper(config.select)])
+        selected = " ".join([*label, *changed_settings(config.select)])
         parts.append(f"{config.views} images" + (f", {selected}" if selected else ""))
     return "Ours" + (": " + ", ".join(parts) if parts else "")
 
@@ -92,7 +93,7 @@ def _changes(config: TrainConfig) -> list[str]:
     return names
 
 
-def _hyper(settings: Any) -> list[str]:
+def changed_settings(settings: Any) -> list[str]:
     """The hyper-parameters of a part that are not its defaults."""
     default = type(settings)()
     names = [field.name for field in fields(settings)]

@@ -52,6 +52,11 @@ def check_camera(K: Tensor, world_T_cam: Tensor, size: tuple[int, int]) -> None:
         raise TFLabError("a pose that is no rigid transform: the camera is lost")
     if K.shape != (3, 3) or not K.isfinite().all():
         raise TFLabError("intrinsics that are not 3x3 finite numbers")
+    if not (0 <= K[0, 2] < size[0] and 0 <= K[1, 2] < size[1]):
+        raise TFLabError(
+            f"a principal point ({K[0, 2]:g}, {K[1, 2]:g}) outside of the {size[0]}x{size[1]} "
+            "image; intrinsics and image have to be of one size"
+        )
     check_focal(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), size)
 
 

@@ -12,7 +12,12 @@ from tf_lab.config.stored import read_config, write_config
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import Metrics, Scores, mean_scores
 from tf_lab.experiments import inventory
-from tf_lab.experiments.identity import evaluation_identity, row_label, training_identity
+from tf_lab.experiments.identity import (
+    changed_settings,
+    evaluation_identity,
+    row_label,
+    training_identity,
+)
 from tf_lab.experiments.provenance import Origin, without_places
 from tf_lab.experiments.reuse import removal, sessions_of
 from tf_lab.support.documents import read_json
@@ -124,11 +129,18 @@ def read_run(directory: Path) -> Run:
         config.seed,
         config,
         _flat(settings),
-        metrics.scenes,
+        {scene: told_apart(scores, config.metrics) for scene, scores in metrics.scenes.items()},
         (origin, training, *sessions_of(training)),
         (directory / "metrics.json").stat().st_mtime,
         _view_sets(metrics),
     )
+
+
+def told_apart(scores: Scores, metrics: Mapping[str, Any]) -> Scores:
+    """Scores, those by other settings of a metric than its defaults under a name that says so."""
+    changed = {name: changed_settings(settings) for name, settings in metrics.items()}
+    names = {name: f"{name} ({', '.join(each)})" for name, each in changed.items() if each}
+    return {names.get(name, name): score for name, score in scores.items()}
 
 
 def _view_sets(metrics: Metrics) -> dict[str, float]:
