@@ -309,7 +309,13 @@ def test_no_room_for_an_output(train: Train, tmp_path: Path) -> None:
         ("+optimizer.momentum=3", ("optimizer.momentum: no such setting",)),
         ("+trainer.others.gpus=3", ("trainer", "gpus", "conf/trainer")),
         ("trainer.accelerator=abacus", ("trainer", "abacus", "conf/trainer")),
+        ("trainer.accelerator=tpu", ("trainer", "torch_xla", "conf/trainer")),
         ("training.images=99", ("no chunk with 99 images", "use fewer")),
+        (
+            "+callbacks.swa={_target_: lightning.pytorch.callbacks.StochasticWeightAveraging, "
+            "swa_lrs: 0.01}",
+            ("callbacks or trainer", "SWA"),
+        ),
         ("data.name=scannet", ("data.name=scannet: choose it by data=scannet",)),
     ],
 )
@@ -364,14 +370,6 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("sede=1", ("sede: no such setting", "did you mean seed")),
         ("steps=9", ("steps: no such setting", "did you mean optimizer.steps?")),
         ("model.depths=3", ("model.depths: no such setting",)),
-        (
-            "data.frames=3 data=captures",
-            (
-                "data.frames: no such setting",
-                "did you mean data.",
-                "tf_lab.train data=captures --help",
-            ),
-        ),
         ("modle=tiny", ("modle: no such setting", "did you mean model?")),
         ("fusion=foo", ("fusion=foo: no such choice", "transformer", "avg", "pred")),
         ("select=attention", ("select=attention: no such choice", "did you mean select=attn?")),
@@ -404,6 +402,17 @@ def test_a_bad_word_on_the_command_line(argument: str, expected: tuple[str, ...]
 def test_two_sweeps(sweeps: str) -> None:
     told(call("train", "-m", f"sweep={sweeps}"), f"sweep={sweeps}: one sweep at a time")
     assert not Path("outputs").exists()
+
+
+def test_settings_of_another_part_are_not_meant() -> None:
+    line = call("train", "data=captures", "data.frames=3")
+    told(line, "data.frames: no such setting", "tf_lab.train data=captures --help` lists all")
+    assert "mean data.frames" not in line.err
+
+
+def test_options_may_come_after_settings() -> None:
+    told(call("train", "sweep=inputs,views", "-m"), "sweep=inputs,views: one sweep at a time")
+    told(call("train", "launcher=local", "-m", "seed=x"), "seed=x: must be a whole number")
 
 
 def test_debugging_raises_the_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -122,6 +122,23 @@ def test_equals_are_equally_good(tmp_path: Path) -> None:
     assert found["Ours: 4 images"][5] == "0.590"
 
 
+def test_a_row_without_a_surface_is_best_at_nothing(tmp_path: Path) -> None:
+    write_run(tmp_path, "", 0, [0.6])
+    empty = write_run(tmp_path, "views=8", 0, [0.0])
+    change_scores(empty, prec=1.0)
+    write_run(tmp_path, "views=4", 0, [0.5])
+    found = cells(short_table(open_study([tmp_path])[0]))
+    assert found["Ours: 8 images"][3] == "1.000"
+    assert found["Ours"][3] == "**0.640**"
+
+
+def test_where_all_are_equal_none_is_best(tmp_path: Path) -> None:
+    for overrides in ("", "views=8"):
+        write_run(tmp_path, overrides, 0, [0.5])
+    found = cells(short_table(open_study([tmp_path])[0]))
+    assert "**" not in "".join(found["Ours"] + found["Ours: 8 images"])
+
+
 def test_comparison(study: Study) -> None:
     found = {record["row"]: record for record in records(comparison_table(study))}
     record = found["Ours: w/o TRSF, avg"]

@@ -109,21 +109,39 @@ def _paper_cells(row: str) -> list[Number]:
 def _with_best(
     body: Sequence[Sequence[Row]], columns: Sequence[Column]
 ) -> tuple[tuple[Row, ...], ...]:
-    """The rows with the best of each column marked; what is equal as printed is equally good."""
+    """The rows with the best of each column marked; what is equal as printed is equally good.
+
+    Where all are equal none is best, nor is a row without a surface, whatever its precision.
+    """
+    scores = [i for i, column in enumerate(columns) if column.key == "fscore"]
+
+    def found(row: Row) -> bool:
+        texts = [_printed(row[i]) for i in scores]
+        return all(text is None or float(text) > 0 for text in texts)
+
     best: list[str | None] = []
     for i, column in enumerate(columns):
-        cells = [row[i] for group in body for row in group]
-        texts = [cell.parts()[0] for cell in cells if isinstance(cell, Number)]
+        texts = [_printed(row[i]) for group in body for row in group if found(row)]
         shown = [text for text in texts if text]
         pick = {"down": min, "up": max}.get(column.better)
-        best.append(pick(shown, key=float) if pick and len(shown) > 1 else None)
+        best.append(pick(shown, key=float) if pick and len({*shown}) > 1 else None)
 
-    def marked(cell: Cell, winner: str | None) -> Cell:
-        if isinstance(cell, Number) and winner and cell.parts()[0] == winner:
-            return replace(cell, best=True)
-        return cell
+    def marked(row: Row) -> Row:
+        if not found(row):
+            return row
+        return tuple(
+            replace(cell, best=True)
+            if isinstance(cell, Number) and winner and _printed(cell) == winner
+            else cell
+            for cell, winner in zip(row, best, strict=True)
+        )
 
-    return tuple(tuple(tuple(map(marked, row, best)) for row in group) for group in body)
+    return tuple(tuple(map(marked, group)) for group in body)
+
+
+def _printed(cell: Cell) -> str | None:
+    """The number of a cell as it is printed, without its deviation; None: it has none."""
+    return (cell.parts()[0] or None) if isinstance(cell, Number) else None
 
 
 def comparison_table(study: Study) -> Table:

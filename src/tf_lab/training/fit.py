@@ -122,8 +122,11 @@ def fit(
     if state is not None:
         print(f"{'resuming' if resumes else 'going on from'} {state}")
     # of the other processes of a distributed training; the loggers' files
-    with as_parent(deaf=False), telling_no_space(directory):
-        made.fit(module, batches, ckpt_path=state, weights_only=True)
+    try:
+        with as_parent(deaf=False), telling_no_space(directory):
+            made.fit(module, batches, ckpt_path=state, weights_only=True)
+    except MisconfigurationException as error:  # of a callback, which fit asks
+        raise TFLabError(f"callbacks or trainer: {error}") from error
     made.save_checkpoint(last)  # to train on
     if made.global_step < settings.steps:
         raise KeyboardInterrupt  # a callback ended it
@@ -240,5 +243,5 @@ def _trainer(
             strategy=trainer.strategy,
             **arguments_of("trainer.others", trainer.others),
         )
-    except (MisconfigurationException, TypeError, ValueError) as error:
+    except (MisconfigurationException, ImportError, TypeError, ValueError) as error:
         raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error
