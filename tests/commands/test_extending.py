@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 from filelock import FileLock
 
@@ -37,6 +38,7 @@ def results(home: Path, cache: Path) -> dict[str, Result]:
             install(home)
             for split in ("train", "val", "test"):
                 plain.write(home / "DIR" / split / "kitchen", room_frames())
+                write_arrays(home / "ARRAYS" / split / "kitchen.npz")
             done = {command: asdict(run(command, home, cache)) for command in COMMANDS}
             kept.write_text(json.dumps(done))
     return {command: Result(**result) for command, result in json.loads(kept.read_text()).items()}
@@ -61,7 +63,23 @@ def small(module: str, words: Sequence[str]) -> list[str]:
     if module != "tf_lab.train" or "--help" in words:
         return []
     rooms = ("data.size", "data.val_size", "data.test_size", "data.frames", "data.test_frames")
-    return [w for w in TINY if "data=folders" not in words or not w.startswith(rooms)]
+    own = {"data=folders", "data=arrays"}.intersection(words)
+    sized = ("data.width", "data.height", "data.workers")
+    left_out = (*(rooms if own else ()), *(sized if "data=arrays" in words else ()))
+    return [word for word in TINY if not word.startswith(left_out)]
+
+
+def write_arrays(path: Path) -> None:
+    """The frames as the page's second source reads them."""
+    frames = room_frames()
+    path.parent.mkdir(parents=True)
+    np.savez(
+        path,
+        images=np.stack([frame.image for frame in frames]),
+        depth=np.stack([frame.depth for frame in frames if frame.depth is not None]),
+        K=frames[0].K,
+        world_T_cam=np.stack([frame.world_T_cam for frame in frames]),
+    )
 
 
 def install(root: Path) -> None:
@@ -97,7 +115,7 @@ def test_settings_decide_what_is_trained(results: dict[str, Result]) -> None:
     first = trained["tf_lab.train fusion=recurrent"]
     assert trained["tf_lab.train fusion=recurrent select=spread"] == first
     assert trained["tf_lab.train fusion=recurrent select=spread metrics=recall2"] == first
-    assert len(set(trained.values())) == 2
+    assert len(set(trained.values())) == 3
 
 
 def test_the_metric_is_in_the_row(results: dict[str, Result], home: Path) -> None:

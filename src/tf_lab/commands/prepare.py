@@ -72,7 +72,7 @@ def _write_shards(config: PrepareConfig, source: DataSource) -> None:
         config.seed,
         config.shard_size,
         provenance(),
-        config.data.workers,
+        source.workers,
     )
     if (attribution := source.attribution()) is not None:
         with atomic_path(index.parent / ATTRIBUTION) as temporary:

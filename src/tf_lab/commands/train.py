@@ -213,8 +213,8 @@ def _check_size(config: TrainConfig) -> None:
     path = initial_path(config)
     if path is None or initial_state(config) or is_helper():
         return
-    given, size = (config.data.width, config.data.height), trained_size(load_network(path)[1])
-    if size not in (None, given):
+    given, size = open_source(config.data).size, trained_size(load_network(path)[1])
+    if given and size not in (None, given):
         width, height = size
         print(
             f"warning: init={config.init}: was trained on images of {width}x{height}, these are of "

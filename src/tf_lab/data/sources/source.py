@@ -58,6 +58,17 @@ class DataSource(ABC):
         """Where the data lies."""
         return Path(self.settings.root).expanduser()
 
+    @property
+    def workers(self) -> int | None:
+        """Processes that make scenes; None: one a core, also where a source has no such setting."""
+        return getattr(self.settings, "workers", None)
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) that images are brought to; None: a source has no such settings."""
+        width, height = (getattr(self.settings, name, None) for name in ("width", "height"))
+        return None if width is None or height is None else (width, height)
+
     @abstractmethod
     def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
         """Make the scenes of splits that are missing or outdated; one that fails stops no other.
@@ -152,7 +163,7 @@ class DataSource(ABC):
         """Draws chunks of the training scenes, which are made first if they are missing."""
         scenes = [*self.scenes("train")["train"].values()]
         if stereo:
-            prepare_stereo(scenes, settings.camera_noise, self.settings.workers)
+            prepare_stereo(scenes, settings.camera_noise, self.workers)
         return ChunkSampler(scenes, settings, near, far, stereo)
 
 
