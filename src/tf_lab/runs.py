@@ -114,13 +114,13 @@ def listing(output: Path) -> str:
             f"{output}: no trainings or evaluations in it; give output=DIR, or make one by "
             "`python -m tf_lab.train`"
         )
-    first = [["TRAINING", "STATE", "COMMIT", "MINUTES", "USED BY (ROW / SEED)"]]
+    first = [["TRAINING", "STATE", "COMMIT", "DATA", "STEPS", "MINUTES", "USED BY (ROW / SEED)"]]
     for entry in trainings:
         used = [run.label for run in runs if run.training == entry.directory.name]
         seconds = entry.origin.get("seconds")
         minutes = f"{seconds / 60:.1f}" if seconds is not None else NOTHING
         first.append([*_start(entry, NOTHING), minutes, "; ".join(used)])
-    second = [["EVALUATION", "STATE", "COMMIT", "F-SCORE", "ROW / SEED"]]
+    second = [["EVALUATION", "STATE", "COMMIT", "DATA", "STEPS", "F-SCORE", "ROW / SEED"]]
     for entry in runs:
         score = f"{entry.fscore:.3f}" if entry.fscore is not None else NOTHING
         second.append([*_start(entry, NOTHING), score, entry.label])
@@ -133,12 +133,14 @@ def listing(output: Path) -> str:
 def _start(entry: Entry, unknown: str = "") -> list[str]:
     state = entry.state + (f", {entry.user} works on it" if entry.user else "")
     makers = [o for o in (*sessions_of(entry.origin), entry.origin) if "commit" in o]
-    return [entry.directory.name, state, commits_of(makers) or unknown]
+    config = entry.config
+    of = [config.data.name, str(config.optimizer.steps)] if config else [unknown, unknown]
+    return [entry.directory.name, state, commits_of(makers) or unknown, *of]
 
 
 def details(entry: Entry) -> str:
     """All that is known of a training or an evaluation."""
-    known_of_it = filter(None, [entry.label, *_start(entry)[1:]])
+    known_of_it = filter(None, [entry.label, *_start(entry)[1:3]])
     lines = [f"{entry.directory}: {', '.join(known_of_it)}"]
     metrics = read_metrics(entry.directory) if entry.state == "finished" else None
     if metrics is not None:

@@ -67,11 +67,11 @@ def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     cells = {name: re.split(" {2,}", row)[1:] for name, row in rows.items()}
     half = "unfinished at step 3 of 5"
     assert cells == {
-        "half": [half, "oneoneone and twotwotwo and threethre", "4.5"],
-        "old": [half, "oneoneone and twotwotwo", "4.5"],
-        "bare": [half, "-", "-"],
-        "begun": ["unfinished", "threethre", "-"],
-        "broken": ["damaged", "-", "-"],
+        "half": [half, "oneoneone and twotwotwo and threethre", "rooms", "5", "4.5"],
+        "old": [half, "oneoneone and twotwotwo", "rooms", "5", "4.5"],
+        "bare": [half, "-", "rooms", "5", "-"],
+        "begun": ["unfinished", "threethre", "rooms", "5", "-"],
+        "broken": ["damaged", "-", "rooms", "5", "-"],
     }
     (line,) = runs.splitlines()[2:]
     assert line.startswith(main_job.path("run").name)
@@ -188,7 +188,8 @@ def test_what_has_just_begun_says_by_which_commit(
     output = f"output={tmp_path / 'begun'}"
     assert train(output).status == 130
     row = call("runs", output).out.split("\n\n")[0].splitlines()[-1]
-    assert re.split(" {2,}", row)[1:] == ["unfinished", commits_of([{"commit": commit()}]), "-"]
+    made_by = commits_of([{"commit": commit()}])
+    assert re.split(" {2,}", row)[1:] == ["unfinished", made_by, "rooms", "5", "-"]
 
 
 def test_a_report_while_the_first_training_runs(

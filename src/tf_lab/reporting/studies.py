@@ -169,8 +169,11 @@ def _named(run: Run) -> str:
 
 
 def differences(settings: dict[str, Any], reference: dict[str, Any]) -> str:
-    """In which settings one differs from another, in a line."""
-    names = sorted({*settings, *reference})
+    """In which settings one differs from another, in a line: digests last, what data first."""
+    names = sorted(
+        {*settings, *reference},
+        key=lambda name: (name.startswith("content."), name != "data.name", name),
+    )
     absent = "nothing"
     lines = [
         f"{name} {_short(settings.get(name, absent))} (not {_short(reference.get(name, absent))})"
