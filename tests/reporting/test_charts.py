@@ -47,6 +47,16 @@ def test_a_selection_of_ours_is_drawn_where_it_was_run(study: Study, tmp_path: P
     assert legend and [text.get_text() for text in legend.get_texts()] == ["diverse (ours)"]
 
 
+def test_the_seeds_named_are_of_the_rows_shown(tmp_path: Path) -> None:
+    for seed in range(2):
+        for k in (4, 8):
+            write_run(tmp_path, f"views={k}", seed, [0.5 + k / 100])
+    write_run(tmp_path, "fusion=avg", 0, [0.4])
+    study = open_study([tmp_path])[0]
+    assert "(2 seeds, 1 test scene)" in views_chart(study).axes[0].get_title()
+    assert "(1 to 2 seeds, 1 test scene)" in rows_chart(study).axes[0].get_xlabel()
+
+
 def test_fscore_of_every_row(study: Study) -> None:
     (axes,) = rows_chart(study).axes
     labels = [label.get_text() for label in axes.get_yticklabels()]

@@ -45,7 +45,8 @@ def views_chart(study: Study) -> Figure:
     if not here.containers:
         nothing = "no run of these rows"
         here.text(0.5, 0.5, nothing, ha="center", transform=here.transAxes)
-    here.set(title=f"This study ({_repetitions(study)})", ylabel="F-score")
+    shown = [row for _, rows, *_ in SELECTIONS for row in rows.values()]
+    here.set(title=f"This study ({_repetitions(study, *shown)})", ylabel="F-score")
     there.set(title="Paper (ScanNet)")
     for axes in (here, there):
         axes.set_xscale("log", base=2)
@@ -115,8 +116,10 @@ def _bar(values: np.ndarray) -> float:
     return float("nan") if found is None else found
 
 
-def _repetitions(study: Study) -> str:
-    least, most = study.repetitions
+def _repetitions(study: Study, *rows: str) -> str:
+    """How many seeds and scenes there are, of some rows or all."""
+    counts = [len(study.seeds(row)) for row in rows if row in study.rows]
+    least, most = (min(counts), max(counts)) if counts else study.repetitions
     seeds = counted(most, "seed") if least == most else f"{least} to {counted(most, 'seed')}"
     return f"{seeds}, {counted(len(study.scenes), 'test scene')}"
 
