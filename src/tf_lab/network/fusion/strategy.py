@@ -50,6 +50,8 @@ def check_outputs(strategy: Fusion, width: int) -> None:
         TFLabError: it gives no features or weights, some of another shape, or weights that do not
             sum to 1.
     """
+    if torch.get_default_device().type == "meta":
+        return  # of shapes alone, which not all operations know
     with torch.no_grad(), torch.random.fork_rng(devices=[]):
         given = strategy.eval()(torch.zeros(2, 3, width))
     strategy.train()
@@ -64,5 +66,5 @@ def check_outputs(strategy: Fusion, width: int) -> None:
                 f"{shape} is wanted"
             )
     sums = given[1].sum(-1)
-    if not sums.is_meta and (sums - 1).abs().max() > 1e-3:
+    if (sums - 1).abs().max() > 1e-3:
         raise TFLabError(f"{name} gives weights that sum to {sums[0]:.4g}, not to 1")
