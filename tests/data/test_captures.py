@@ -144,6 +144,7 @@ def test_one_bad_capture_does_not_stop_the_others(source: Path, tmp_path: Path) 
     assert "1 scenes, 24 frames" in text
     saved = json.loads((root / SMALL.key / "prepare.json").read_text())
     assert saved["scenes"]["kitchen"]["frames"] == 24
+    assert "camera-intrinsics.txt" in saved["failed"]["bad"]
     # what is there is kept, what failed is tried again
     stamp = prepared.scenes["kitchen"].stat().st_ino
     np.savetxt(bad / "camera-intrinsics.txt", room_frames()[0].K)

@@ -1,8 +1,9 @@
 """All data sources against the contract, on a few small scenes each."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -12,12 +13,14 @@ from tf_lab.data.sources import SOURCES
 from tf_lab.data.sources.contract import CHECKS
 from tf_lab.data.sources.settings import (
     CapturesData,
+    Content,
     FlatsData,
     RoomsData,
     ScanNetData,
     ShardsData,
 )
-from tf_lab.data.sources.source import open_source
+from tf_lab.data.sources.source import DataSource, Prepared, open_source
+from tf_lab.errors import TFLabError
 
 Check = Callable[[Any], None]
 SIZE: dict[str, Any] = {"width": 64, "height": 48, "workers": 1}
@@ -85,3 +88,42 @@ def test_rooms_beside_the_flats_are_those_of_data_rooms(settings: dict[str, Any]
         **open_source(alone).content().versions,
         **open_source(FlatsData(root=alone.root)).content().versions,
     }
+
+
+@dataclass(frozen=True)
+class OwnData:
+    """What a source has to have, and no more."""
+
+    name: str = "own"
+    root: str = "."
+
+
+class OwnSource(DataSource):
+    """One training scene that fails, and perhaps one that does not."""
+
+    good: ClassVar[dict[str, Path]] = {}
+
+    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
+        scenes = {split: self.good if split == "train" else {} for split in splits}
+        return Prepared(scenes, {"bad": "NaN in it"} if "train" in splits else {})
+
+    def has(self, split: str) -> bool:
+        return split == "train"
+
+    def content(self) -> Content:
+        return Content()
+
+    def directory(self, name: str, digest: str | None) -> Path:
+        return self.root / name
+
+
+def test_scenes_that_a_source_of_ones_own_cannot_make_are_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = OwnSource(OwnData())
+    with pytest.raises(TFLabError, match="none of the train scenes can be prepared"):
+        source.scenes("train")
+    assert "scene bad is left out: NaN in it" in caplog.text
+    monkeypatch.setattr(OwnSource, "good", {"hall": Path("hall")})
+    assert source.scenes("train", "test") == {"train": {"hall": Path("hall")}, "test": {}}
+    assert (source.workers, source.size) == (None, None)
