@@ -10,152 +10,17 @@ Examples:
   python -m tf_lab.runs show NAME
 """
 
-from __future__ import annotations
-
-import argparse
-import json
-import os
-import sys
-from collections.abc import Sequence
-from pathlib import Path
-from typing import NoReturn
-
 from tf_lab.cli.command import print_anything
-from tf_lab.errors import TFLabError
-from tf_lab.evaluation.scores import format_table, read_metrics
-from tf_lab.experiments.inventory import (
-    RUNS,
-    TRAININGS,
-    Entry,
-    find,
-    find_runs,
-    find_trainings,
-    with_dependents,
-)
-from tf_lab.experiments.reuse import commits_of, sessions_of
-from tf_lab.support.files import remove_directory
 from tf_lab.support.stops import stoppable
-from tf_lab.support.tables import NOTHING, aligned
-from tf_lab.support.text import read_text
-
-USAGE = (__doc__ or "").splitlines()[2]
 
 
 def main() -> None:
     """List, show or remove."""
     print_anything()
     with stoppable("what was removed is gone, all else is as it was"):
-        _main()
+        from tf_lab.commands.runs import run  # takes a second, in which signals are heard
 
-
-def _main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m tf_lab.runs",
-        usage=USAGE,
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("action", nargs="?", choices=("list", "show", "rm"), default="list")
-    parser.add_argument("names", nargs="*", metavar="NAME")
-    parser.add_argument("--output", type=_folder, default=Path("outputs"), metavar="DIR")
-    parser.add_argument("--dry-run", action="store_true")
-    words = [f"--{word}" if word.startswith("output=") else word for word in sys.argv[1:]]
-    parser.error = _refuse  # type: ignore[method-assign]
-    try:
-        given = parser.parse_intermixed_args(words)
-        if bool(given.names) == (given.action == "list"):
-            _refuse(f"{given.action}: " + ("takes no NAME" if given.names else "of which NAME?"))
-        if given.dry_run and given.action != "rm":
-            _refuse(f"{given.action}: takes no --dry-run")
-        if given.action == "list":
-            print(listing(given.output))
-        entries = [find(given.output, name) for name in given.names]
-        if given.action == "show":
-            print("\n".join(map(details, entries)))
-        if given.action == "rm":
-            remove(entries, given.dry_run)
-    except BrokenPipeError:  # whoever reads has seen enough
-        os._exit(1)
-    except (TFLabError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-
-
-def _refuse(message: str) -> NoReturn:
-    """What is wrong with the command line, in one line."""
-    raise TFLabError(f"{message}; usage: {USAGE}")
-
-
-def _folder(path: str) -> Path:
-    return Path(os.path.expanduser(path))  # noqa: PTH111  # pathlib fails without such a user
-
-
-def remove(entries: Sequence[Entry], dry_run: bool) -> None:
-    """Remove trainings and evaluations and say so; or only say what would go.
-
-    Raises:
-        TFLabError: one is in use; then none is removed.
-    """
-    for path in dict.fromkeys(path for entry in entries for path in with_dependents(entry)):
-        if not dry_run:
-            remove_directory(path)
-        print(f"{'would remove' if dry_run else 'removed'} {path}")
-
-
-def listing(output: Path) -> str:
-    """All trainings and evaluations as two tables.
-
-    Raises:
-        TFLabError: there are none.
-    """
-    trainings, runs = find_trainings(output), find_runs(output)
-    if not trainings and not runs:
-        raise TFLabError(
-            f"{output}: no trainings or evaluations in it; give output=DIR, or make one by "
-            "`python -m tf_lab.train`"
-        )
-    first = [["TRAINING", "STATE", "COMMIT", "DATA", "STEPS", "MINUTES", "USED BY (ROW / SEED)"]]
-    for entry in trainings:
-        used = [run.label for run in runs if run.training == entry.directory.name]
-        seconds = entry.origin.get("seconds")
-        minutes = f"{seconds / 60:.1f}" if seconds is not None else NOTHING
-        first.append([*_start(entry, NOTHING), minutes, "; ".join(used)])
-    second = [["EVALUATION", "STATE", "COMMIT", "DATA", "STEPS", "F-SCORE", "ROW / SEED"]]
-    for entry in runs:
-        score = f"{entry.fscore:.3f}" if entry.fscore is not None else NOTHING
-        second.append([*_start(entry, NOTHING), score, entry.label])
-    tables = {TRAININGS: aligned(first, "l"), RUNS: aligned(second, "l")}
-    parts = [f"{output / name}:\n{table}" for name, table in tables.items()]
-    wrong = [line for entry in (*trainings, *runs) for line in entry.problems]
-    return "\n\n".join([*parts, *(["cannot be read:\n" + "\n".join(wrong)] if wrong else [])])
-
-
-def _start(entry: Entry, unknown: str = "") -> list[str]:
-    state = entry.state + (f", {entry.user} works on it" if entry.user else "")
-    makers = [o for o in (*sessions_of(entry.origin), entry.origin) if "commit" in o]
-    config = entry.config
-    of = [config.data.name, str(config.optimizer.steps)] if config else [unknown, unknown]
-    return [entry.directory.name, state, commits_of(makers) or unknown, *of]
-
-
-def details(entry: Entry) -> str:
-    """All that is known of a training or an evaluation."""
-    known_of_it = filter(None, [entry.label, *_start(entry)[1:3]])
-    lines = [f"{entry.directory}: {', '.join(known_of_it)}"]
-    metrics = read_metrics(entry.directory) if entry.state == "finished" else None
-    if metrics is not None:
-        rows = [*metrics.scenes.items(), (metrics.label, metrics.mean)]
-        lines += ["", format_table(rows, "Scene")]
-    known = {key: value for key, value in entry.origin.items() if key != "config"}
-    if "training" in known:
-        training = entry.origin["training"]
-        known["training"] = {k: v for k, v in training.items() if k != "config"}
-    lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
-    lines += ["", "cannot be read:", *entry.problems] if entry.problems else []
-    path = entry.directory / "config.yaml"
-    if entry.config:
-        lines += ["", "config:", read_text(path, "the settings of a run").rstrip()]
-    return "\n".join(lines)
+        run(__doc__ or "")
 
 
 if __name__ == "__main__":

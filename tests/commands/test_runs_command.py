@@ -14,8 +14,8 @@ import torch
 from helpers.made_up_runs import change_scores
 from helpers.tiny_jobs import TINY, Result, call, tiny_config
 from tf_lab.commands.train import write_config
-from tf_lab.experiments.provenance import commit
-from tf_lab.experiments.reuse import commits_of, print_reuse, removal
+from tf_lab.experiments.provenance import commit, commits_of
+from tf_lab.experiments.reuse import print_reuse, removal
 from tf_lab.support.files import write_json
 from tf_lab.support.locks import directory_lock
 

@@ -21,6 +21,7 @@ from helpers import box_room, made_up_runs
 from helpers.fuzz.archives import HARMLESS, KINDS, change_tar
 from helpers.fuzz.kinds import network, read_a_shard, write_a_scene, write_a_shard
 from helpers.fuzz.mutations import BOMB, DEEP, MERGE, resize_png
+from tf_lab.commands.runs import details, listing
 from tf_lab.data.capture import read_depth, read_image
 from tf_lab.data.lens import Camera
 from tf_lab.data.scene import Scene
@@ -31,7 +32,6 @@ from tf_lab.online import Reconstructor
 from tf_lab.reporting.gallery import draw_pictures
 from tf_lab.reporting.results import find_runs
 from tf_lab.reporting.studies import open_study
-from tf_lab.runs import details, listing
 from tf_lab.support.arrays import read_array, read_arrays
 
 OUTSIDE = "../../../../outside"

@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
-from tf_lab.experiments.reuse import sessions_of
+from tf_lab.experiments.provenance import sessions_of
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.fit import AtomicSaves, FitSettings, fit, rank_zero_lock
 

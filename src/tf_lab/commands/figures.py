@@ -38,7 +38,7 @@ from tf_lab.support.files import check_folder
 STEREO = "Plane-sweep stereo"
 SHOWN_ROWS = 4  # of a study, in the comparison
 FEW_VIEWS = 4  # K, beside the K asked for
-POLICIES = ("attention", "random")
+SHOWN_POLICIES = ("attention", "random")
 
 
 def run(config: FiguresConfig) -> None:
@@ -48,7 +48,7 @@ def run(config: FiguresConfig) -> None:
     with Workbench(config) as bench:
         material = bench.material()
         if config.input is not None or config.run is not None:
-            bench.check()  # where it is wrong, other figures are no answer
+            bench.open()  # where it is wrong, other figures are no answer
         files, left_out = draw_figures(config.figures, material, output)
     if not files:
         raise TFLabError("; ".join(left_out))
@@ -128,9 +128,9 @@ class Workbench:
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def check(self) -> None:
+    def open(self) -> None:
         """Open the input. Raises TFLabError: it cannot be."""
-        assert self._input
+        _ = self._input
 
     def material(self) -> Material:
         """All of it: of the study's meshes, unless an input, run or checkpoint is given."""
@@ -169,7 +169,7 @@ class Workbench:
         name, settings = next(iter(self.scenes)), self.settings
         found = {}
         for views in sorted({FEW_VIEWS, settings.views}):
-            for policy in POLICIES:
+            for policy in SHOWN_POLICIES:
                 select = settings.select if policy == settings.select.policy else policy
                 made = self._make(name, replace(settings, views=views, select=select))
                 found[f"K = {views}, {policy}"] = made

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import time
 from dataclasses import asdict, replace
@@ -44,14 +43,14 @@ from tf_lab.training.loggers import make_loggers
 from tf_lab.training.module import Training
 from tf_lab.training.objects import make_callbacks
 
-log = logging.getLogger(__name__)
-
 
 def run(config: TrainConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
     torch.set_float32_matmul_precision("high")
-    check_network(config)  # what is wrong is told before data is made
-    config.training.chunk, capture_settings(config)
+    # what is wrong with any setting is told before data is made
+    check_network(config)
+    _ = config.training.chunk
+    capture_settings(config)
     config = identified(config)
     start = time.time()
     run = run_directory(config)
@@ -64,7 +63,7 @@ def run(config: TrainConfig) -> None:
             print("no score will be made: there is no test scene (data.test, data.test_size)")
         checkpoint = train(config)
         if tested:
-            evaluate_training(config, checkpoint)
+            _evaluate_training(config, checkpoint)
         if is_helper():
             return  # the first process of a distributed training does the rest
         if not tested:
@@ -108,15 +107,14 @@ def finished(config: TrainConfig) -> Path | None:
 JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
 
 
-def evaluate_training(config: TrainConfig, checkpoint: Path) -> Path:
-    """The run directory of the config's evaluation: found, or made now."""
+def _evaluate_training(config: TrainConfig, checkpoint: Path) -> None:
+    """Make the config's evaluation, unless it is there."""
     run = run_directory(config)
     with rank_zero_lock(run, "evaluating"):
         if first_says(is_helper() or read_metrics(run) is None):
             _evaluate(config, checkpoint, run)
         elif not is_helper():
             print_reuse("evaluation", run)
-    return run
 
 
 def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:

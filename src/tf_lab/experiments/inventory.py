@@ -12,8 +12,8 @@ from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.identity import row_label
-from tf_lab.experiments.provenance import Origin
-from tf_lab.experiments.reuse import origin_of, sessions_of
+from tf_lab.experiments.provenance import Origin, sessions_of
+from tf_lab.experiments.reuse import origin_of, saved_state
 from tf_lab.support.headers import WEIGHTS
 from tf_lab.support.locks import lock_holder
 from tf_lab.support.records import record
@@ -85,9 +85,7 @@ def _training(directory: Path) -> Entry:
         else:
             state, origin = UNFINISHED, _begun(directory, problems)
         if state == UNFINISHED and last.exists():
-            import torch  # slow to import, and only here needed
-
-            saved = torch.load(last, map_location="cpu", mmap=True, weights_only=True)
+            saved = saved_state(last)
             steps = config.optimizer.steps if config else "?"  # of another version
             state += f" at step {saved['global_step']} of {steps}"
             origin |= _so_far(saved)

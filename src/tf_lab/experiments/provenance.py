@@ -10,6 +10,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -88,6 +89,17 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     return platform.processor()
+
+
+def sessions_of(training: Origin) -> list[Origin]:
+    """The times at which a training of this provenance was worked on, by which code."""
+    return training.get("sessions", training.get("sittings", []))  # as older versions called them
+
+
+def commits_of(origins: Iterable[Mapping[str, object]]) -> str:
+    """The commits of some provenances, as people write them."""
+    parts = (str(origin.get("commit", "unknown")).partition("-") for origin in origins)
+    return " and ".join(dict.fromkeys(name[:9] + dash + dirty for name, dash, dirty in parts))
 
 
 def without_places(value: Any, key: str = "") -> Any:

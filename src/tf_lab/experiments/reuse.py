@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import glob
 import shlex
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of, training_identity
-from tf_lab.experiments.provenance import Origin, code_version, commit
+from tf_lab.experiments.provenance import (
+    Origin,
+    code_version,
+    commit,
+    commits_of,
+    sessions_of,
+)
 from tf_lab.support.headers import WEIGHTS, read_info
 from tf_lab.support.records import read_record, record
 
@@ -31,6 +37,14 @@ def origin_of(directory: Path) -> Origin:
         return record(Origin, read_info(checkpoint).get("training", {}), "training")
     except ValueError as error:
         raise TFLabError(f"{checkpoint}: {error}; {cure}") from error
+
+
+def saved_state(last: Path) -> dict[str, Any]:
+    """What ``last.ckpt`` of an unfinished training holds."""
+    import torch  # slow to import, and only here needed
+
+    state: dict[str, Any] = torch.load(last, map_location="cpu", mmap=True, weights_only=True)
+    return state
 
 
 def removal(directory: Path) -> str:
@@ -55,17 +69,6 @@ def print_reuse(what: str, directory: Path) -> None:
         )
 
 
-def sessions_of(training: Origin) -> list[Origin]:
-    """The times at which a training of this provenance was worked on, by which code."""
-    return training.get("sessions", training.get("sittings", []))  # as older versions called them
-
-
-def commits_of(origins: Iterable[Mapping[str, object]]) -> str:
-    """The commits of some provenances, as people write them."""
-    parts = (str(origin.get("commit", "unknown")).partition("-") for origin in origins)
-    return " and ".join(dict.fromkeys(name[:9] + dash + dirty for name, dash, dirty in parts))
-
-
 def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
     """The last state of the same training of fewer steps, if this one would pass through it.
 
@@ -83,10 +86,7 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
             other = read_config(path.parent / "config.yaml")
             fewer = other.optimizer.steps < steps
             if fewer and _but_for_steps(other) == _but_for_steps(config):
-                import torch
-
-                state = torch.load(path, map_location="cpu", mmap=True, weights_only=True)
-                found.append((int(state["global_step"]), path))
+                found.append((int(saved_state(path)["global_step"]), path))
         except Exception:  # any damage
             continue
     step, last = max(found, default=(0, None))

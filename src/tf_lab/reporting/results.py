@@ -18,8 +18,8 @@ from tf_lab.experiments.identity import (
     row_label,
     training_identity,
 )
-from tf_lab.experiments.provenance import Origin, without_places
-from tf_lab.experiments.reuse import removal, sessions_of
+from tf_lab.experiments.provenance import Origin, sessions_of, without_places
+from tf_lab.experiments.reuse import removal
 from tf_lab.support.documents import read_json
 from tf_lab.support.files import write_json
 from tf_lab.support.records import read_record

@@ -14,7 +14,7 @@ import numpy as np
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import MetricPart, metric_columns
 from tf_lab.experiments.identity import key_of
-from tf_lab.experiments.reuse import commits_of
+from tf_lab.experiments.provenance import commits_of
 from tf_lab.reporting.paper import ABLATIONS, OURS
 from tf_lab.reporting.results import Run, find_runs
 from tf_lab.support.words import natural

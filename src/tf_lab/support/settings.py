@@ -14,7 +14,7 @@ which runs are the same (see `tf_lab.experiments.identity`).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
 from typing import Any, Literal, get_type_hints
 
@@ -113,16 +113,6 @@ def absent_values(kind: type) -> dict[str, Any]:
     """Of the settings that came later, by name: the values that mean what was before."""
     later = {f.name: f.metadata.get("absent", MISSING) for f in dataclasses.fields(kind)}
     return {name: value for name, value in later.items() if value is not MISSING}
-
-
-def described(settings: Any, prefix: str = "") -> Iterator[tuple[str, dataclasses.Field[Any]]]:
-    """The dotted name and the field of every setting of a dataclass, nested ones included."""
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name, None)
-        if dataclasses.is_dataclass(value):
-            yield from described(value, f"{prefix}{field.name}.")
-        else:
-            yield f"{prefix}{field.name}", field
 
 
 def check_ranges(settings: Any, prefix: str = "") -> None:

@@ -1,71 +1,21 @@
-"""Building scene directories in parallel: each is whole or absent, and none stops the others."""
+"""Named tasks in processes: one that fails does not stop the others, and memory is shared out."""
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import torch
 
 from tf_lab.errors import TFLabError
-from tf_lab.support.files import atomic_directory, remove_abandoned
-from tf_lab.support.locks import directory_lock
 from tf_lab.support.progress import progress_bar
 from tf_lab.support.stops import Stopped, as_parent
 
 NO_MEMORY = "its process ran out of memory; use fewer data.workers, or more memory"
-
-
-@dataclass(frozen=True)
-class SceneJob:
-    """A scene to build: its final directory, and what writes it into a temporary one."""
-
-    directory: Path
-    build: Callable[[Path], None]
-
-
-def prepare_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None = None) -> None:
-    """`build_scenes` for data of our own, which has no excuse to fail.
-
-    Raises:
-        TFLabError: some scenes failed (after all others were built); names them.
-    """
-    failed = build_scenes(jobs, title, workers)
-    if failed:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
-        raise TFLabError(f"{len(failed)} of {len(jobs)} scenes failed: {reasons}")
-
-
-def build_scenes(
-    jobs: Sequence[SceneJob], title: str, workers: int | None = None
-) -> dict[str, str]:
-    """Build the scenes that do not exist yet, one process a scene.
-
-    Args:
-        jobs: the scenes; existing directories are kept as they are.
-        title: for the progress bar.
-        workers: processes; None: one a core.
-
-    Returns:
-        Why which scene could not be built, by its directory's name.
-    """
-    missing = [job for job in jobs if not job.directory.is_dir()]
-    if not missing:
-        return {}
-    with contextlib.ExitStack() as locks:
-        for folder in sorted({job.directory.parent for job in missing}):
-            locks.enter_context(directory_lock(folder, "preparing"))
-            remove_abandoned(folder)
-        missing = [job for job in missing if not job.directory.is_dir()]
-        tasks = {job.directory.name: partial(_build, job) for job in missing}
-        return run_tasks(tasks, title, workers) if tasks else {}
 
 
 def run_tasks(
@@ -133,10 +83,3 @@ def _run_some(
                 process.kill()
             raise
     return died
-
-
-def _build(job: SceneJob) -> None:
-    if job.directory.is_dir():  # another process was faster
-        return
-    with atomic_directory(job.directory) as temporary:
-        job.build(temporary)

@@ -9,8 +9,7 @@ import lightning as L
 from lightning.pytorch.callbacks import Callback
 from rich.progress import Progress, TaskID
 
-from tf_lab.experiments.provenance import provenance
-from tf_lab.experiments.reuse import commits_of
+from tf_lab.experiments.provenance import commits_of, provenance
 from tf_lab.support.progress import Once, Pace, progress_bar
 
 SHOWN = 0.5  # seconds between looks at the losses, for which a GPU has to be waited for

@@ -6,7 +6,6 @@ that nobody who asks waits. What comes of it is told to a `Listener`.
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable
@@ -25,8 +24,6 @@ from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.surface import Chunk
 from tf_lab.viewer.growth import Growth, Pieces
 from tf_lab.viewer.paint import MODES, painter
-
-log = logging.getLogger(__name__)
 
 REFRESH = 0.15  # seconds after which the mesh comes before the next frame
 AGAIN = 0.015  # the same after a chunk that came out as before: time for one frame

@@ -13,6 +13,7 @@ import trimesh
 
 from helpers import box_room, made_up_runs, small_shards
 from helpers.layouts import LAYOUTS, room_frames
+from tf_lab.commands.runs import details, listing
 from tf_lab.data.digests import read_sources
 from tf_lab.data.groundtruth import GroundTruth, GroundTruthSettings, write_groundtruth
 from tf_lab.data.readers import open_capture
@@ -33,7 +34,6 @@ from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import tables_page
 from tf_lab.reporting.studies import open_study
 from tf_lab.reporting.tables import main_table, runs_table, scene_table, seed_table
-from tf_lab.runs import details, listing
 from tf_lab.training.state import PARTS, read_state
 
 

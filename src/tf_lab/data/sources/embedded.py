@@ -16,11 +16,11 @@ from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.rooms import RoomSettings, generate_room, models
 from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
 from tf_lab.data.scene import Frame, write_scene
+from tf_lab.data.sources.scene_jobs import SceneJob, build_scenes
 from tf_lab.data.sources.settings import Content, EmbeddedData, FlatsData, RoomsData
 from tf_lab.data.sources.source import ATTRIBUTION, DataSource, Prepared
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, file_name
-from tf_lab.support.tasks import SceneJob, prepare_scenes
 
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
 
@@ -102,7 +102,7 @@ class EmbeddedSet:
                 jobs.append(SceneJob(directory, partial(self._build, seed, *film)))
             if wanted.furniture is not None and found[split]:
                 self._attribute(found[split][0].parent.parent, wanted.furniture)
-        prepare_scenes(jobs, f"rendering {self.name}", workers)
+        build_scenes(jobs, f"rendering {self.name}", workers)
         return found
 
     def _attribute(self, directory: Path, furniture: Catalogue) -> None:

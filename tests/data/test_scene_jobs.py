@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from helpers.builders import build, crash, die, exhaust, fail
+from tf_lab.data.sources.scene_jobs import SceneJob, build_scenes
 from tf_lab.errors import TFLabError
-from tf_lab.support.tasks import SceneJob, prepare_scenes
 
 
 def jobs(root: Path, names: Sequence[str]) -> list[SceneJob]:
@@ -21,7 +21,7 @@ def test_a_failing_scene_is_reported_and_the_others_are_built(tmp_path: Path) ->
     root = tmp_path / "scenes"
     names = ["bad_1", "good_1", "bad_2", "good_2"]
     with pytest.raises(TFLabError) as caught:
-        prepare_scenes(jobs(root, names), "building", workers=1)
+        build_scenes(jobs(root, names), "building", workers=1)
     message = str(caught.value)
     assert message.startswith("2 of 4 scenes failed")
     for name in ("bad_1: frame-7.jpg: cannot be read", "bad_2"):
@@ -37,7 +37,7 @@ def test_a_failing_scene_is_reported_and_the_others_are_built(tmp_path: Path) ->
     stamp = (root / "good_1" / "process.txt").read_text()
     (root / "good_1" / "mine.txt").write_text("keep me")
     again = [SceneJob(root / n, partial(build, content="second")) for n in names]
-    prepare_scenes(again, "building", workers=1)
+    build_scenes(again, "building", workers=1)
     content = [(root / n / "first.txt").read_text() for n in names]
     assert content == ["second", "whole", "second", "whole"]
     assert (root / "good_1" / "process.txt").read_text() == stamp
@@ -46,14 +46,14 @@ def test_a_failing_scene_is_reported_and_the_others_are_built(tmp_path: Path) ->
 
 def test_a_bug_in_a_builder_is_not_swallowed(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="a bug"):
-        prepare_scenes(jobs(tmp_path, ["bug", "good"]), "building", workers=1)
+        build_scenes(jobs(tmp_path, ["bug", "good"]), "building", workers=1)
     assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "good"]
 
 
 def test_a_process_that_dies_takes_no_other_scene_with_it(tmp_path: Path) -> None:
     names = ["good_1", "large", "good_2", "gpu", "good_3", "good_4"]
     with pytest.raises(TFLabError) as caught:
-        prepare_scenes(jobs(tmp_path, names), "building", workers=2)
+        build_scenes(jobs(tmp_path, names), "building", workers=2)
     message = str(caught.value)
     assert message.startswith("2 of 6 scenes failed")
     assert "large: its process ran out of memory" in message
@@ -68,6 +68,6 @@ def test_nothing_missing_starts_no_process(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr("tf_lab.support.tasks.ProcessPoolExecutor", forbidden)
     (tmp_path / "good").mkdir()
-    prepare_scenes(jobs(tmp_path, ["good"]), "building")
-    prepare_scenes([], "building")
+    build_scenes(jobs(tmp_path, ["good"]), "building", workers=1)
+    build_scenes([], "building", workers=1)
     assert not list((tmp_path / "good").iterdir())
