@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from tf_lab.cli.text_settings import Texts, quote_overrides
 from tf_lab.config.compose import compose_config
-from tf_lab.config.schema import COMMANDS, ReconstructConfig, ReportConfig, TrainConfig
+from tf_lab.config.schema import CONFIGS, ReconstructConfig, ReportConfig, TrainConfig
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 
@@ -25,7 +25,7 @@ ODD = (
 
 def composed(command: str, *words: str, sweeps: bool = False) -> Any:
     """What a command gets for these words of its command line."""
-    texts = Texts.of(COMMANDS[command])
+    texts = Texts.of(CONFIGS[command])
     return compose_config(command, *quote_overrides(words, texts, sweeps).values())
 
 
@@ -75,7 +75,7 @@ def test_as_it_stands(text: str) -> None:
     ],
 )
 def test_everywhere(command: str, name: str, others: tuple[str, ...]) -> None:
-    several = name in Texts.of(COMMANDS[command]).lists
+    several = name in Texts.of(CONFIGS[command]).lists
     for text in ("2024_01_01", "Müller (1) a=b #$x" if several else "Müller, (1) a=b #$x"):
         assert of(composed(command, *others, f"{name}={text}"), name) == text
 

@@ -12,7 +12,7 @@ from helpers.injections import INJECTIONS
 from helpers.layouts import plain, room_frames
 from helpers.tiny_jobs import call
 from tf_lab.commands.check import lines
-from tf_lab.data.captures import ImportSettings, Prepared, import_capture, summarise
+from tf_lab.data.captures import ImportSettings, PreparedCaptures, import_capture, summarise
 from tf_lab.data.diagnosis.sensors import Sensors
 from tf_lab.data.diagnosis.verdict import FINE, Report
 from tf_lab.data.reading import ReadSettings
@@ -137,7 +137,7 @@ def test_prepare_warns(tmp_path: Path) -> None:
     for name, check in (("checked", True), ("unchecked", False)):
         import_capture(tmp_path / name, wrong, settings, memory=2**28, check=check)
     scenes = {name: tmp_path / name for name in ("checked", "unchecked")}
-    text = summarise(Prepared(scenes, {}), tmp_path)
+    text = summarise(PreparedCaptures(scenes, {}), tmp_path)
     (line,) = (line for line in text.splitlines() if "warning" in line)
     assert "warning checked: focal length" in line
     assert "try focal_scale=1.2" in line

@@ -11,7 +11,7 @@ import pytest
 
 from helpers.made_up_runs import ROWS, SCENES, change_scores, write_run, write_study
 from tf_lab.reporting.formats import Column, Number, Table, comma_separated, latex, markdown
-from tf_lab.reporting.paper import ABLATIONS, BASELINES, SCORES
+from tf_lab.reporting.paper import ABLATIONS, MAIN, SCORES
 from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import (
     comparison_table,
@@ -76,7 +76,7 @@ def test_the_main_table_is_laid_out_as_the_papers(study: Study) -> None:
     inputs = ("Ours: w/o projected depth", "Ours: w/o view ray")
     ablations = [row for row in ABLATIONS if row not in inputs]
     assert [[row[0] for row in group] for group in table.groups] == [
-        *([*BASELINES], ablations, ["Ours"], [own])
+        *([*MAIN[0]], ablations, ["Ours"], [own])
     ]
     found = cells(table)
     assert found["Atlas"][:7] == ["-"] * 7

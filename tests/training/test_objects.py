@@ -8,7 +8,7 @@ from lightning.pytorch.loggers import Logger
 
 from tf_lab.config.compose import compose_config
 from tf_lab.errors import TFLabError
-from tf_lab.training.objects import arguments_of, make, make_callbacks
+from tf_lab.training.objects import instantiated, make, make_callbacks
 
 MONITOR = "lightning.pytorch.callbacks.LearningRateMonitor"
 
@@ -47,7 +47,7 @@ def test_what_may_not_be_made(target: str | None, expected: str) -> None:
 def test_nothing_else_is_hidden_in_an_argument() -> None:
     hidden = {"a": [{"b": {"_target_": "os.system", "command": "true"}}]}
     with pytest.raises(TFLabError, match=r"^trainer\.others\.a\.0\.b\._target_=os\.system"):
-        arguments_of("trainer.others", hidden)
+        instantiated("trainer.others", hidden)
     with pytest.raises(TFLabError, match=r"^callbacks\.x\.more\._target_=os\.system"):
         make(Callback, "callbacks.x", {"_target_": MONITOR, "more": {"_target_": "os.system"}})
 
@@ -59,7 +59,7 @@ def test_wrong_arguments_are_told_in_one_line() -> None:
 
 def test_arguments_of_the_trainer_may_be_objects() -> None:
     node = {"_target_": "lightning.pytorch.strategies.SingleDeviceStrategy", "device": "cpu"}
-    found = arguments_of("trainer.others", {"strategy": node, "limit": 3})
+    found = instantiated("trainer.others", {"strategy": node, "limit": 3})
     assert type(found["strategy"]).__name__ == "SingleDeviceStrategy"
     assert found["limit"] == 3
 

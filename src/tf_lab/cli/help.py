@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.config.typed import settings_of
 
+FOUND_OUT = "content"  # of the data, when a run begins
 CHOICES = "Choices (* those in use; the settings below are theirs):"
 SETTINGS = "Settings and their values (???: has to be given):"
 MORE = """\
@@ -57,7 +58,7 @@ def help_text(
     settings = [
         (f"  {key}={value}", meanings.get(key, ""))
         for key, value in sorted(_leaves(values), key=lambda leaf: "." in leaf[0])
-        if not is_within(key, (*unused, "content"))
+        if not is_within(key, (*unused, FOUND_OUT))
     ]
     parts = [about.strip()]
     parts += ["\n".join([CHOICES, *_columns(choices)])] if choices else []
@@ -73,7 +74,11 @@ def _summary(conf: Path, group: str, option: str) -> str:
     """What a choice is: the first comment of its file, or the docstring of its settings."""
     path = conf / group / f"{option}.yaml"
     if path.is_file():
-        lines = [line for line in path.read_text().splitlines() if not line.startswith("# @")]
+        lines = [
+            line
+            for line in path.read_text(encoding="utf-8").splitlines()
+            if not line.startswith("# @")
+        ]
         return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
     found = ConfigStore.instance().load(f"{group}/{option}.yaml")
     return (OmegaConf.get_type(found.node).__doc__ or "").splitlines()[0]

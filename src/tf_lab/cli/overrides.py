@@ -19,13 +19,11 @@ from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
-from tf_lab.cli.help import is_within
+from tf_lab.cli.help import FOUND_OUT, is_within
 from tf_lab.config.schema import PARTS
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.experiments.launcher import JOB, task_overrides
-
-FOUND_OUT = "content"  # of the data, when a run begins
 
 
 def is_sweep(given: argparse.Namespace) -> bool:

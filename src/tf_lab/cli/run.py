@@ -22,7 +22,7 @@ from tf_lab.cli import overrides, text_settings
 from tf_lab.cli.help import help_text
 from tf_lab.config.compose import conf_dir
 from tf_lab.config.registration import register
-from tf_lab.config.schema import COMMANDS
+from tf_lab.config.schema import CONFIGS
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.launcher import check_launcher, in_sweep, run_job
@@ -39,10 +39,10 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
     def composed(cfg: DictConfig) -> None:
         try:
             if not in_sweep():  # else each job does
-                instead: Mapping[str, Sequence[str]] = getattr(COMMANDS[name], "replaced", {})
+                instead: Mapping[str, Sequence[str]] = getattr(CONFIGS[name], "replaced", {})
                 used = {key: names for key, names in instead.items() if cfg.get(key) is not None}
                 overrides.check(unused, used)
-            config: Any = typed(COMMANDS[name], cfg)
+            config: Any = typed(CONFIGS[name], cfg)
             if jobs and in_sweep():  # in a worker of Slurm or Ray
                 job = HydraConfig.get()
                 run_job(resolve_name(jobs), config, job, Children(), prefix=f"{job.job.num}: ")
@@ -61,7 +61,7 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
     conf, given = conf_dir(), argparse.Namespace(overrides=[])
     try:
         register()
-        given = _command_line(COMMANDS[name])
+        given = _command_line(CONFIGS[name])
         if given.help:
             print(help_text(conf, name, about, given.overrides, unused))
         else:

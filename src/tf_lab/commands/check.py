@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track as rich_track
 from rich.table import Table
 
 from tf_lab.config.schema import CheckConfig
@@ -21,29 +20,20 @@ from tf_lab.data.diagnosis.statistics import Statistics
 from tf_lab.data.diagnosis.verdict import FINE, Report
 from tf_lab.data.readers import open_capture
 from tf_lab.data.reading import ReadSettings
-from tf_lab.errors import TFLabError
-from tf_lab.support.files import write_json
+from tf_lab.support.files import check_folder, write_json
+from tf_lab.support.progress import tracked
 
 SHOWN = 6  # alternatives in the table
 
 
 def run(config: CheckConfig) -> None:
     """Print what was found; write it where it is asked for."""
-    path, settings = Path(str(config.input)), ReadSettings.part_of(config)
-    output = None if config.output is None else Path(str(config.output))
+    path, settings = Path(config.input), ReadSettings.part_of(config)
+    output = Path(config.output) if config.output is not None else None
     if output is not None:
-        if output.exists() and not output.is_dir():
-            raise TFLabError(f"{output}: is a file; output=DIR names a folder")
-        output.mkdir(parents=True, exist_ok=True)
+        check_folder(output)
     capture = open_capture(path, settings, strict=False)
-    screen = Console(stderr=True)
-    track = partial(
-        rich_track,
-        description="reading images",
-        console=screen,
-        disable=not screen.is_terminal,
-        transient=True,
-    )
+    track = partial(tracked, description="reading images")
     report, evidence = diagnose(capture, settings, path, track)
     console = Console(highlight=False, soft_wrap=True)
     for table in tables(report):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import functools
+from functools import partial
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import track
 
 from tf_lab.config.schema import EvaluateConfig
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate, scene_names
 from tf_lab.evaluation.scores import format_table
 from tf_lab.support.files import check_file, write_json
+from tf_lab.support.progress import tracked
 from tf_lab.support.words import counted
 
 
@@ -23,7 +21,7 @@ def run(config: EvaluateConfig) -> None:
     if output is not None:
         check_file(output)
     _check_groundtruth(groundtruth)
-    bar = functools.partial(track, description="evaluating", console=Console(stderr=True))
+    bar = partial(tracked, description="evaluating")
     metrics = [*config.metrics.values()]
     result = evaluate(predictions, groundtruth, config.seed, bar, metrics)
     print(format_table([*result["scenes"].items(), ("mean", result["mean"])], first="Scene"))

@@ -80,7 +80,7 @@ def compared_rows(study: Study, count: int, scene: str | None = None) -> list[Co
     Raises:
         TFLabError: no run has a mesh, or there is no such scene.
     """
-    scenes = _only(scenes_of(study), scene)
+    scenes = _with_meshes(study, scene)
     found = []
     for name, runs in [*scenes.items()][:count]:
         rows = dict(reversed([*runs.items()][:SHOWN_ROWS]))
@@ -90,8 +90,15 @@ def compared_rows(study: Study, count: int, scene: str | None = None) -> list[Co
 
 def all_rows(study: Study, scene: str | None = None) -> Compared:
     """A test scene under all rows of a study. Errors as of `compared_rows`."""
-    name, runs = next(iter(_only(scenes_of(study), scene).items()))
+    name, runs = next(iter(_with_meshes(study, scene).items()))
     return compared(runs, name, groundtruth_mesh(next(iter(runs.values())), name))
+
+
+def _with_meshes(study: Study, scene: str | None) -> Mapping[str, Any]:
+    shown = scenes_of(study)
+    if not shown:
+        raise TFLabError(f"no run of study {study.key} has its meshes on this machine")
+    return _only(shown, scene)
 
 
 def _only(scenes: Mapping[str, Any], scene: str | None) -> Mapping[str, Any]:
@@ -257,7 +264,7 @@ class Workbench:
     def _has_meshes(self) -> bool:
         try:
             return bool(scenes_of(self.study))
-        except TFLabError:
+        except TFLabError:  # there is no study
             return False
 
     def _rows(self) -> list[Compared]:

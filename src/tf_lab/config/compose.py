@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 from tf_lab.config.registration import register
-from tf_lab.config.schema import COMMANDS
+from tf_lab.config.schema import CONFIGS
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 
@@ -25,7 +25,7 @@ def conf_dir() -> Path:
 
 def compose_config(command: str, *overrides: str) -> Any:
     """The typed config of a command with settings as on its command line."""
-    return typed(COMMANDS[command], compose_hydra(command, *overrides))
+    return typed(CONFIGS[command], compose_hydra(command, *overrides))
 
 
 def compose_hydra(command: str, *overrides: str) -> DictConfig:

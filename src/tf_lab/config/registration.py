@@ -12,7 +12,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.config.groups import InputSettings, TrainerSettings
-from tf_lab.config.schema import COMMANDS, PARTS
+from tf_lab.config.schema import CONFIGS, PARTS
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.support.registry import Part
 
@@ -36,7 +36,7 @@ def register() -> None:
 def _store(known: tuple[Part, ...]) -> None:
     """Store all schemas, once for the parts that are known."""
     store = ConfigStore.instance()
-    for name, schema in COMMANDS.items():
+    for name, schema in CONFIGS.items():
         store.store(group="schema", name=name, node=node_of(schema))
     for (group, option), settings in OPTIONS.items():
         store.store(group=group, name=option, node=node_of(settings))

@@ -25,7 +25,7 @@ from tf_lab.config.groups import (
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.settings import MOST_SIDE, CameraNoise, PhotometricSettings
 from tf_lab.data.sources import SOURCES
-from tf_lab.data.sources.settings import Content
+from tf_lab.data.sources.settings import SPLITS, Content
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.fusion import FUSIONS
@@ -34,7 +34,6 @@ from tf_lab.online.views import POLICIES
 from tf_lab.support.registry import Registry
 from tf_lab.support.settings import MOST_SEED, setting
 
-SPLITS = ("train", "val", "test")
 FIGURES = (
     *("views", "selected", "comparison", "ablations", "errors", "room"),
     *("fscore_k", "fscore_rows", "runtimes"),
@@ -447,7 +446,7 @@ class BenchmarkConfig(NetworkSettings):
     output: str = setting("outputs/benchmark", "a folder for table, JSON and chart", kind="path")
 
 
-COMMANDS: dict[str, type] = {
+CONFIGS: dict[str, type] = {
     "train": TrainConfig,
     "pretrain": PretrainConfig,
     "pretrain_stereo": PretrainStereoConfig,

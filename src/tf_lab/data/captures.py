@@ -27,7 +27,7 @@ from tf_lab.data.chunk_weights import Structure
 from tf_lab.data.diagnosis import quick_warning
 from tf_lab.data.digests import Sources, find_sources, read_sources
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
-from tf_lab.data.keyframes import select_keyframes
+from tf_lab.data.keyframes import KEYFRAME_DISTANCE, select_keyframes
 from tf_lab.data.readers import capture_within, detect_format, open_capture
 from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.reading import AS_STATED, ReadSettings
@@ -58,7 +58,7 @@ class ImportSettings:
 
     width: int = 640
     height: int = 480
-    keyframe_distance: float = 0.1
+    keyframe_distance: float = KEYFRAME_DISTANCE
     read: ReadSettings = AS_STATED
     groundtruth: GroundTruthSettings = field(default_factory=GroundTruthSettings)
 
@@ -71,7 +71,7 @@ class ImportSettings:
 
 
 @dataclass
-class Prepared:
+class PreparedCaptures:
     """Scenes by name, and for those that could not be made the reason."""
 
     scenes: dict[str, Path]
@@ -194,7 +194,7 @@ def prepare_captures(
     workers: int | None = None,
     memory: int = 2**30,
     check: bool = True,
-) -> Prepared:
+) -> PreparedCaptures:
     """Make the scenes that do not exist yet or whose sources changed, one process a scene.
 
     A scene whose capture is not there any more stays as it is.
@@ -237,7 +237,7 @@ def prepare_captures(
                 found[name] = directory
             except TFLabError as error:  # damaged since
                 failed[name] = str(error)
-    return Prepared(found, failed)
+    return PreparedCaptures(found, failed)
 
 
 def scene_of(place: Path) -> Path | None:
@@ -321,7 +321,7 @@ def _say_changes(folder: Path, before: Mapping[str, Sources]) -> None:
             )
 
 
-def summarise(prepared: Prepared, folder: Path) -> str:
+def summarise(prepared: PreparedCaptures, folder: Path) -> str:
     """What was made and skipped, as text; ``prepare.json`` in the folder has all of it."""
     reasons: Counter[str] = Counter()
     details: dict[str, Any] = {}

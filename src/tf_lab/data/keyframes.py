@@ -8,8 +8,10 @@ from numpy.typing import ArrayLike
 from tf_lab.data.capture import Capture
 from tf_lab.geometry import pose_distance
 
+KEYFRAME_DISTANCE = 0.1  # as in DeepVideoMVS, and in the line of work of the paper
 
-def select_keyframes(world_T_cam: ArrayLike, threshold: float = 0.1) -> list[int]:
+
+def select_keyframes(world_T_cam: ArrayLike, threshold: float = KEYFRAME_DISTANCE) -> list[int]:
     """Indices of the keyframes of a sequence of poses [N, 4, 4], in order.
 
     The first frame is one, and each that is at least ``threshold`` from the last keyframe.
@@ -31,7 +33,7 @@ class Thinned:
         threshold: see `select_keyframes`.
     """
 
-    def __init__(self, capture: Capture, frames: int, threshold: float = 0.1) -> None:
+    def __init__(self, capture: Capture, frames: int, threshold: float = KEYFRAME_DISTANCE) -> None:
         keyframes = select_keyframes(capture.world_T_cam, threshold)
         count = min(frames, len(keyframes))
         self.kept = [keyframes[i] for i in np.linspace(0, len(keyframes) - 1, count).astype(int)]

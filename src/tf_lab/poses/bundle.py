@@ -39,9 +39,6 @@ class Deviations:
     pixel: float = 1.0
 
 
-DEVIATIONS = Deviations()
-
-
 class _Problem:
     """The cost of poses and points, and the steps that lower it."""
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.errors import TFLabError
-from tf_lab.poses.bundle import DEVIATIONS, Deviations, adjust
+from tf_lab.poses.bundle import Deviations, adjust
 from tf_lab.poses.tracks import follow
 
 WORTH = 0.6  # of the sightings' error is left at most, or the given poses are kept
@@ -48,15 +48,13 @@ class Refined:
     Args:
         capture: the other.
         threshold: between keyframes, see `select_keyframes`.
-        deviations: how wrong the poses may be.
         progress: called with (frames done, frames in all).
     """
 
     def __init__(
         self,
         capture: Capture,
-        threshold: float = 0.1,
-        deviations: Deviations = DEVIATIONS,
+        threshold: float,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self.name, self.size, self.skipped = capture.name, capture.size, capture.skipped
@@ -67,7 +65,7 @@ class Refined:
         tracks = follow(_grey(capture, progress), set(keyframes))
         tracks = tracks._replace(frame=np.searchsorted(keyframes, tracks.frame))
         K, poses = capture.K[keyframes], given[keyframes]
-        adjusted, (before, after) = adjust(tracks, K, poses, deviations)
+        adjusted, (before, after) = adjust(tracks, K, poses, Deviations())
         kept = after > WORTH * before or not len(tracks.frame)
         corrections = np.tile(np.eye(4), (len(poses), 1, 1))
         if not kept:

@@ -12,7 +12,7 @@ from tf_lab.config.stored import portable_config
 from tf_lab.experiments.provenance import without_places
 from tf_lab.meshes.files import read_mesh
 from tf_lab.reporting.charts import rows_chart, views_chart
-from tf_lab.reporting.gallery import mesh_path, preview, scene_runs
+from tf_lab.reporting.gallery import mesh_path, preview, scenes_of
 from tf_lab.reporting.html import (
     chart,
     code,
@@ -65,7 +65,7 @@ def study_page(
     """All of a study: tables, charts, the pictures that there are, a mesh, and its settings."""
     scenes = [pictures / f"{file_name(scene)}.png" for scene in study.scenes]
     drawn = [path for path in scenes if path.exists()]
-    shown = {scene: runs for scene in study.scenes if (runs := scene_runs(study, scene))}
+    shown = scenes_of(study)
     mesh = ""
     if shown:
         scene, runs = next(iter(shown.items()))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -13,37 +11,20 @@ from tf_lab.evaluation.scores import Scores
 OURS = "Ours"
 
 
-@dataclass(frozen=True)
-class PaperTable:
-    """A table of the paper.
-
-    Attributes:
-        source: its LaTeX label and caption.
-        groups: metrics by row, the rows between two rules a group; ours is the last.
-    """
-
-    source: str
-    groups: tuple[dict[str, Scores], ...]
-
-
-def _table(held: dict[str, Any], columns: list[str]) -> PaperTable:
-    groups = [
+def _table(groups: list[dict[str, list[float]]], columns: list[str]) -> list[dict[str, Scores]]:
+    """Metrics by row, the rows between two rules of the paper's table a group; ours is the last."""
+    return [
         {row: dict(zip(columns, values, strict=True)) for row, values in group.items()}
-        for group in held["groups"]
+        for group in groups
     ]
-    return PaperTable(held["source"], tuple(groups))
 
 
 _HELD = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-MAIN = _table(_HELD["main"], _HELD["columns"])
-INPUTS = _table(_HELD["inputs"], _HELD["columns"])
-BASELINES = tuple(MAIN.groups[0])
-ABLATIONS = (*MAIN.groups[1], *INPUTS.groups[0])
+MAIN = _table(_HELD["main"]["groups"], _HELD["columns"])
+INPUTS = _table(_HELD["inputs"]["groups"], _HELD["columns"])
+ABLATIONS = (*MAIN[1], *INPUTS[0])
 SCORES: dict[str, Scores] = {
-    row: scores
-    for table in (MAIN, INPUTS)
-    for group in table.groups
-    for row, scores in group.items()
+    row: scores for table in (MAIN, INPUTS) for group in table for row, scores in group.items()
 }
 
 # The rows of the chart of F-score against K, by views kept a voxel.

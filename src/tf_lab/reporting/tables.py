@@ -34,12 +34,12 @@ INTERVAL = (
 def main_table(study: Study) -> Table:
     """The paper's main table, and after it the rows that the paper does not have."""
     others = [row for row in study.rows if row not in (*ABLATIONS, OURS)]
-    return _beside_paper(study, "main", [*map(list, MAIN.groups), others])
+    return _beside_paper(study, "main", [*map(list, MAIN), others])
 
 
 def inputs_table(study: Study) -> Table:
     """The paper's ablation of the transformers' inputs, which ours alone is not."""
-    groups = [] if study.rows == [OURS] else [[*group] for group in INPUTS.groups]
+    groups = [] if study.rows == [OURS] else [[*group] for group in INPUTS]
     return _beside_paper(study, "inputs", groups)
 
 

@@ -91,6 +91,8 @@ def check_folder(folder: Path, path: Path | None = None) -> None:
     Raises:
         TFLabError: they can't.
     """
+    if path is None and folder.is_file():
+        raise TFLabError(f"{folder}: is a file; output=DIR names a folder")
     folder = folder.absolute()
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     try:

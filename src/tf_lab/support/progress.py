@@ -5,20 +5,24 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+T = TypeVar("T")
 
 FIRST, EVERY = 2.0, 60.0  # seconds to the first line in a log, and between the others
 RECENT = 30.0  # seconds of which the pace is taken
@@ -120,14 +124,28 @@ class Pace:
         return (steps - step) * other + more * once.seconds / once.done
 
 
+def tracked(items: Sequence[T], description: str) -> Iterator[T]:
+    """Items with a progress bar on standard error, if that is a terminal."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield from items
+        return
+    with Progress(*_columns(), console=console, transient=True) as bar:
+        yield from bar.track(items, len(items), description=description)
+
+
 def progress_bar() -> Progress:
     """A progress bar with counts, elapsed and remaining time; lines where there is no terminal."""
     bar = Progress if Console().is_terminal else _Lines
-    return bar(
+    return bar(*_columns())
+
+
+def _columns() -> list[ProgressColumn]:
+    return [
         TextColumn("{task.description}"),
         BarColumn(bar_width=12),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         _TimeLeft(),
         TextColumn("left"),
-    )
+    ]

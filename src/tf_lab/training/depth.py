@@ -15,7 +15,6 @@ from tf_lab.stereo.depth import StereoSettings
 from tf_lab.stereo.regularizer import Regularizer, read_depth
 from tf_lab.training.schedule import warm_cosine
 
-WARMUP = 50  # steps
 DISTANCE_WEIGHT = 2.0  # of the error of the mean logarithm beside the cross-entropy
 WITHIN = {"5cm": 0.05, "10cm": 0.1}
 
@@ -97,6 +96,6 @@ class DepthTraining(L.LightningModule):
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """AdamW, short warm-up, cosine to zero."""
         adam = torch.optim.AdamW(self.regularizer.parameters(), self.lr, weight_decay=1e-2)
-        factor = partial(warm_cosine, warmup=WARMUP, steps=self.steps)
+        factor = partial(warm_cosine, steps=self.steps)
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, factor)
         return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -23,7 +23,7 @@ from tf_lab.support.locks import LOCK, NOTE, directory_lock
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
 from tf_lab.training.finite import Finite
-from tf_lab.training.objects import arguments_of
+from tf_lab.training.objects import instantiated
 from tf_lab.training.state import read_state
 
 LAST = "last.ckpt"
@@ -241,7 +241,7 @@ def _trainer(
             devices=trainer.devices,
             precision=trainer.precision,  # type: ignore[arg-type]  # Lightning says what it takes
             strategy=trainer.strategy,
-            **arguments_of("trainer.others", trainer.others),
+            **instantiated("trainer.others", trainer.others),
         )
     except (MisconfigurationException, ImportError, TypeError, ValueError) as error:
         raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error

@@ -17,7 +17,6 @@ from tf_lab.geometry import sample_maps
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.training.schedule import warm_cosine
 
-WARMUP = 50  # steps
 APART = 1.5  # candidates nearer to the truth than this many strides are not wrong enough
 
 
@@ -121,6 +120,6 @@ class Matching(L.LightningModule):
         groups: list[dict[str, Any]] = [{"params": list(self.encoder.pyramid_parameters())}]
         groups += [{"params": trunk, "lr": self.lr * self.trunk_factor}] if trunk else []
         adam = torch.optim.Adam(groups, self.lr)
-        factor = partial(warm_cosine, warmup=WARMUP, steps=self.steps)
+        factor = partial(warm_cosine, steps=self.steps)
         schedule = torch.optim.lr_scheduler.LambdaLR(adam, factor)
         return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

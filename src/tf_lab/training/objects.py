@@ -42,7 +42,7 @@ def make(kind: Callable[..., T], name: str, node: dict[str, Any], /, **arguments
     if not issubclass(made, cast(type, kind)):
         raise TFLabError(f"{name}.{TARGET}={node[TARGET]}: is no {cast(type, kind).__name__}")
     known = {key: value for key, value in node.items() if key not in arguments}
-    partial = _instantiated(name, {**known, "_partial_": True})
+    partial = instantiated(name, {**known, "_partial_": True})
     try:
         return partial(**arguments)
     except (TypeError, ValueError) as error:
@@ -58,16 +58,12 @@ def make_callbacks(config: TrainConfig) -> list[Callback]:
     return [make(Callback, f"callbacks.{name}", node) for name, node in config.callbacks.items()]
 
 
-def arguments_of(name: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of which some may be nodes, made into objects.
+def instantiated(name: str, node: dict[str, Any]) -> Any:
+    """A node (a dict with ``_target_``), or a dict of which some values are nodes, as objects.
 
     Raises:
         TFLabError: one may not be made, or cannot be.
     """
-    return _instantiated(name, values)
-
-
-def _instantiated(name: str, node: dict[str, Any]) -> Any:
     for where, target in _targets(node, name):
         _class(where, target)
     try:

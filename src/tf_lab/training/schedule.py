@@ -6,6 +6,7 @@ import math
 
 from tf_lab.config.groups import OptimizerSettings
 
+WARMUP = 50  # steps, of pre-training
 DECAY = 0.2  # share of the steps in which warmup_stable_decay falls
 
 
@@ -26,9 +27,9 @@ def learning_rate_factor(settings: OptimizerSettings, step: int) -> float:
     return warm * half_cosine(min(1.0, done))
 
 
-def warm_cosine(step: int, warmup: int, steps: int) -> float:
-    """Half a cosine over all steps, the first of which warm up linearly."""
-    return min(1.0, (step + 1) / warmup) * half_cosine(step / steps)
+def warm_cosine(step: int, steps: int) -> float:
+    """Half a cosine over all steps, the first `WARMUP` of which warm up linearly."""
+    return min(1.0, (step + 1) / WARMUP) * half_cosine(step / steps)
 
 
 def half_cosine(done: float) -> float:

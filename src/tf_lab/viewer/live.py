@@ -10,7 +10,7 @@ from tf_lab.data.capture import Capture
 from tf_lab.evaluation.truth import Truth
 from tf_lab.network.network import Network
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.viewer.panel import Panel, Part
+from tf_lab.viewer.panel import Panel, SessionPart
 from tf_lab.viewer.scene import Drawing, look_from_above
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.session import Session
@@ -40,7 +40,7 @@ def show_sessions(
     step = np.array([high[0] - low[0], 0, 0])
     parts = []
     for number, (name, (network, settings)) in enumerate(sides.items()):
-        part = Part(Drawing(server, f"/scene{number}", number * step), name)
+        part = SessionPart(Drawing(server, f"/scene{number}", number * step), name)
         part.session = Session(network, capture, frames, settings, part, truth)
         parts.append(part)
         if len(sides) > 1:

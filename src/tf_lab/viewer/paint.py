@@ -18,6 +18,7 @@ from tf_lab.support.colors import error_colors, frame_colors
 from tf_lab.viewer.growth import Growth
 
 FRAMES = 24  # that paint a chunk, evenly chosen of those that see it
+MODES = ("image", "best view", "error", "clay")
 SPARSE = 3  # every so many of the other chunks' vertices hide what is behind them
 
 
@@ -70,10 +71,9 @@ def painter(
         if known is None:
             raise TFLabError("there is no ground truth: no error can be shown")
         return lambda piece: by_error(known, piece)
-    return clay
-
-
-MODES = ("image", "best view", "error", "clay")
+    if mode == "clay":
+        return clay
+    raise ValueError(f"{mode}: choose of {', '.join(MODES)}")
 
 
 def seeing(growth: Growth, bounds: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ class Panel:
         parts: a session and what draws it, each; at least one.
     """
 
-    def __init__(self, server: viser.ViserServer, parts: Sequence[Part]) -> None:
+    def __init__(self, server: viser.ViserServer, parts: Sequence[SessionPart]) -> None:
         self.server, self.parts = server, parts
         self.sessions = [part.session for part in parts]
         gui = server.gui
@@ -141,7 +141,7 @@ def say(server: viser.ViserServer, text: str) -> None:
         client.add_notification("tf_lab", text, auto_close_seconds=10)
 
 
-class Part:
+class SessionPart:
     """A session's part of the page: what is drawn and written as it tells.
 
     Args:

@@ -76,30 +76,27 @@ class Drawing:
 
     def draw_camera(self, capture: Capture, frame: int, image: np.ndarray) -> None:
         """Draw a frame's frustum with its image, and the trajectory to it."""
-        pose, K = capture.world_T_cam[frame], capture.K[frame]
-        height, width = image.shape[:2]
-        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        camera = self.server.scene.add_camera_frustum(
-            f"{self.name}/cameras/{frame:05d}",
-            fov=2 * math.atan(height / 2 / K[1, 1]),
-            aspect=width / height,
+        camera = self._frustum(
+            f"cameras/{frame:05d}",
+            capture,
+            frame,
+            image.shape,
             scale=FRUSTUM,
             thickness=0.003,
             color=frame_colors(np.array([frame]), len(capture.frames))[0],
             image=image,
-            wxyz=(w, x, y, z),
-            position=pose[:3, 3],
             visible="cameras" not in self._hidden,
         )
+        center = capture.world_T_cam[frame, :3, 3]
 
         @camera.on_click
         def _(event: viser.SceneNodePointerEvent[Any]) -> None:
             """Look through this camera."""
-            event.client.camera.wxyz = (w, x, y, z)
-            event.client.camera.position = pose[:3, 3] + self.shift
+            event.client.camera.wxyz = camera.wxyz
+            event.client.camera.position = center + self.shift
 
         self._cameras[frame] = camera
-        self._centers.append(pose[:3, 3])
+        self._centers.append(center)
         self.draw_path()
 
     def draw_path(self) -> None:
@@ -132,26 +129,38 @@ class Drawing:
             )
         ]
         for view, color in zip(pick.views, colors, strict=True):
-            pose, K = capture.world_T_cam[view.source], capture.K[view.source]
-            height, width = view.image.shape[:2]
-            x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-            frustum = add.add_camera_frustum(
-                f"{self.name}/picked/{view.source:05d}",
-                fov=2 * math.atan(height / 2 / K[1, 1]),
-                aspect=width / height,
+            frustum = self._frustum(
+                f"picked/{view.source:05d}",
+                capture,
+                view.source,
+                view.image.shape,
                 scale=PICKED,
                 thickness=0.008,
                 color=color,
-                wxyz=(w, x, y, z),
-                position=pose[:3, 3],
             )
             ray = add.add_line_segments(
                 f"{self.name}/picked/ray_{view.source:05d}",
-                np.stack([pose[:3, 3], pick.point])[None],
+                np.stack([capture.world_T_cam[view.source, :3, 3], pick.point])[None],
                 color,
                 thickness=0.004,
             )
             self._picked += [frustum, ray]
+
+    def _frustum(
+        self, name: str, capture: Capture, frame: int, shape: tuple[int, ...], **style: Any
+    ) -> viser.CameraFrustumHandle:
+        """The frustum of a frame, whose image has this shape."""
+        pose, K = capture.world_T_cam[frame], capture.K[frame]
+        height, width = shape[:2]
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        return self.server.scene.add_camera_frustum(
+            f"{self.name}/{name}",
+            fov=2 * math.atan(height / 2 / K[1, 1]),
+            aspect=width / height,
+            wxyz=(w, x, y, z),
+            position=pose[:3, 3],
+            **style,
+        )
 
     def set_visible(self, what: str, visible: bool) -> None:
         """Show or hide "mesh", "cameras", "path" or "truth"."""

@@ -18,7 +18,6 @@ from tf_lab.data.readers.source import SourceCapture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
-KEYFRAME_DISTANCE = 0.1  # as in reconstruction
 DEPTH_FRAMES = 12  # whose depth is looked at
 MOST_IMAGES = 1000  # that are read to see whether they can be
 BLURRED = 20.0  # variance of the Laplacian below which an image shows no edge
@@ -85,7 +84,7 @@ def describe(
     """
     capture = album.capture
     centres = capture.world_T_cam[:, :3, 3]
-    keyframes = select_keyframes(capture.world_T_cam, KEYFRAME_DISTANCE)
+    keyframes = select_keyframes(capture.world_T_cam)
     K, (width, height) = capture.K[0], capture.size
     blur = np.array(list(album.sharpness.values()) or [np.nan])
     grey = np.array(list(album.brightness.values()) or [np.nan])

@@ -108,16 +108,15 @@ def too_poor(evidence: Evidence) -> str:
 def judge(
     evidence: Evidence,
     found: Found,
-    scale: Scale | None,
+    scale: Scale,
     sensors: Sensors | None,
     statistics: Statistics | None,
 ) -> Report:
     """The verdict on a capture that has enough matches."""
     judgement = _Judgement()
     _judge_cameras(judgement, evidence, found, sensors)
-    if scale is not None:
-        _judge_scale(judgement, scale)
-    if not (evidence.given.metric or evidence.settings.scale or (scale and scale.setting)):
+    _judge_scale(judgement, scale)
+    if not (evidence.given.metric or evidence.settings.scale or scale.setting):
         judgement.add(
             DOUBTFUL,
             "the poses have no unit (structure from motion gives none), what is metres above is "

@@ -17,13 +17,12 @@ import numpy as np
 
 from tf_lab.data.capture import open_image
 from tf_lab.data.lens import Camera
-from tf_lab.data.readers.images import is_file
+from tf_lab.data.readers.images import is_central, is_file
 from tf_lab.data.readers.source import DepthFile, Pixels
 from tf_lab.errors import TFLabError
 
 DOWN = (0.0, -1.0, 0.0)
 MEDIUM = 1  # ARConfidenceLevel: 0 low, 1 medium, 2 high
-OFF_CENTRE = 0.1  # of the image: principal points of phones are nearer to its middle
 
 
 def arkit_camera(size: tuple[int, int], fx: float, fy: float, cx: float, cy: float) -> Camera:
@@ -34,7 +33,7 @@ def arkit_camera(size: tuple[int, int], fx: float, fy: float, cx: float, cy: flo
         TFLabError: they are not those of a camera.
     """
     camera = Camera(size, fx, fy, cx - 0.5, cy - 0.5)
-    if max(abs(cx / size[0] - 0.5), abs(cy / size[1] - 0.5)) > OFF_CENTRE:
+    if not is_central((camera.cx, camera.cy), size):
         raise ValueError(
             f"({cx:g}, {cy:g}) is not near the middle of {size[0]}x{size[1]} images; give them in "
             "the size and orientation they were taken in"
@@ -42,17 +41,16 @@ def arkit_camera(size: tuple[int, int], fx: float, fy: float, cx: float, cy: flo
     return camera
 
 
-def confident_depth(depth: Path, confidence: Path, least: int = MEDIUM) -> Pixels | None:
+def confident_depth(depth: Path, confidence: Path) -> Pixels | None:
     """A depth map in millimetres, where ARKit is sure enough of it; None: there is no such file.
 
     Args:
         depth: its file.
         confidence: of the map of confidence; all is kept without it.
-        least: the smallest value in it that is not low.
     """
     if not is_file(depth):
         return None
-    return ConfidentDepth(depth, confidence, least) if is_file(confidence) else DepthFile(depth)
+    return ConfidentDepth(depth, confidence) if is_file(confidence) else DepthFile(depth)
 
 
 @dataclass(frozen=True)
@@ -62,13 +60,11 @@ class ConfidentDepth:
     Attributes:
         depth: its file.
         confidence: the 8-bit image of the same size.
-        least: see `confident_depth`.
         scale: units of depth a metre; None: millimetres.
     """
 
     depth: Path
     confidence: Path
-    least: int
     scale: float | None = None
 
     def __call__(self) -> np.ndarray:
@@ -81,7 +77,7 @@ class ConfidentDepth:
             raise TFLabError(f"{self.confidence}: cannot be read as an image ({error})") from error
         if confidence.shape != depth.shape:
             raise TFLabError(f"{self.confidence}: is of another size than {self.depth}")
-        return np.where(confidence >= self.least, depth, 0).astype(np.float32)
+        return np.where(confidence >= MEDIUM, depth, 0).astype(np.float32)
 
     def __str__(self) -> str:
         return str(self.depth)

@@ -95,11 +95,12 @@ def image_size(paths: Sequence[Path], centre: tuple[float, float] | None = None)
         TFLabError: none can be read.
     """
     sizes = _common_sizes(paths)
-    fitting = (size for size in sizes if centre is not None and _central(centre, size))
+    fitting = (size for size in sizes if centre is not None and is_central(centre, size))
     return next(fitting, sizes[0])
 
 
-def _central(point: tuple[float, float], size: tuple[int, int]) -> bool:
+def is_central(point: tuple[float, float], size: tuple[int, int]) -> bool:
+    """Whether a principal point (x, y) may be that of images of (width, height) ``size``."""
     sides = zip(point, size, strict=True)
     return all(abs((x + 0.5) / side - 0.5) < OFF_CENTRE for x, side in sides)
 

@@ -106,13 +106,8 @@ def _homogeneous(rotation: np.ndarray) -> np.ndarray:
 
 def _reordered(rotation: np.ndarray, order: str) -> np.ndarray:
     """The rotation [3, 3] whose quaternion was read in the other order than ``order``."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    numbers = (x, y, z, w) if order == "wxyz" else (w, x, y, z)  # as they are written
-    if order == "wxyz":
-        w, x, y, z = numbers
-    else:
-        x, y, z, w = numbers
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+    read = Rotation.from_matrix(rotation).as_quat()  # x, y, z, w
+    return Rotation.from_quat(np.roll(read, -1 if order == "wxyz" else 1)).as_matrix()
 
 
 def _mended_frame(frame: SourceFrame, settings: ReadSettings) -> SourceFrame:

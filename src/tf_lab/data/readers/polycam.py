@@ -32,7 +32,6 @@ NAME = "polycam"
 LAYOUT = "keyframes/ with corrected_images/ and corrected_cameras/, or images/ and cameras/"
 CONVENTION = Convention(axes="opengl")
 KINDS = ("corrected_", "")
-LEAST = 1  # of the confidence: all that is not low
 
 
 def detect(directory: Path) -> bool:
@@ -62,7 +61,6 @@ def read(directory: Path) -> SourceCapture:
         depth = confident_depth(
             folder / "depth" / f"{color.stem}.png",
             folder / "confidence" / f"{color.stem}.png",
-            LEAST,
         )
         frames.append(SourceFrame(color.stem, camera, pose, ColorFile(color), depth))
     return collect(directory, frames, skipped, DOWN, convention=CONVENTION)

@@ -13,20 +13,19 @@ from typing import Any
 from tf_lab.data import groundtruth
 from tf_lab.data.captures import (
     ImportSettings,
+    PreparedCaptures,
     find_captures,
     names_of,
     prepare_captures,
     prepared_scenes,
     summarise,
 )
-from tf_lab.data.captures import Prepared as PreparedCaptures
-from tf_lab.data.sources.settings import CapturesData, Content, PreparedData
+from tf_lab.data.sources.settings import SPLITS, CapturesData, Content, PreparedData
 from tf_lab.data.sources.source import DataSource, Prepared
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import file_name
 
 log = logging.getLogger(__name__)
-SPLITS = ("train", "val", "test")
 
 
 class PreparedSource(DataSource):

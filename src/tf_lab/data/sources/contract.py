@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 from tf_lab.data.scene import Scene
+from tf_lab.data.sources.settings import SPLITS
 from tf_lab.data.sources.source import DataSource, open_source
 
-SPLITS = ("train", "val", "test")
 GROUNDTRUTH = (
     *("mesh_gt.ply", "occlusion_mask.npy", "world2grid.txt"),
     *("sdf.npy", "distance.npy", "chunks.npz"),

@@ -9,6 +9,7 @@ from tf_lab.data.reading import AS_STATED, ReadSettings
 from tf_lab.data.settings import MOST_SIDE
 from tf_lab.support.settings import setting
 
+SPLITS = ("train", "val", "test")
 CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:HOME,.}/.cache/tf_lab}"
 
 
