@@ -269,6 +269,20 @@ def test_a_damaged_chunk_is_left_out_and_logged(
     assert "number 3 of this shard" in caplog.text
 
 
+def test_a_batch_without_a_whole_chunk_is_the_next_one(copied: Path, numbers: Numbers) -> None:
+    """Steps and batches stay together, also for one that goes on amid them."""
+    shard = copied / "chunks-000001.tar"
+    for chunk in (6, 7, 8):
+        start, size = position(shard, f"{chunk:08}.safetensors")
+        flip(shard, start + size // 2)
+    of = source(copied, shuffle=False, chunks=1)
+    expected = [*range(6), 9, 9, 9, 9, 10, 11]
+    assert numbers(iter(of.stream(0, 0, 0, 1)), 12) == expected
+    for step in (6, 7, 9):
+        found = numbers(iter(of.stream(0, step, 0, 1)), 12 - step)
+        assert found == expected[step:]
+
+
 def test_nothing_whole(copied: Path) -> None:
     shard = copied / "chunks-000003.tar"  # one chunk
     start, size = position(shard, "00000015.safetensors")

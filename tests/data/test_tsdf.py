@@ -228,6 +228,21 @@ def test_slabs_equal_the_whole(rows: int) -> None:
     assert len(mesh.faces) == len(expected.faces)
 
 
+@pytest.mark.parametrize("focal", [8.0, 40.0])
+def test_slabs_equal_the_whole_for_any_lens(focal: float) -> None:
+    """A camera amid a room that sees more than 150 degrees, and one that sees less."""
+    size, distance = 64, 1.0
+    k = torch.tensor([[focal, 0, 31.5], [0, focal, 31.5], [0, 0, 1]])[None]
+    depth, reach = torch.full((size, size), distance), distance * size / 2 / focal + 0.2
+    n = math.ceil(2 * reach / 0.05)
+    grid = VoxelGrid((-reach, -reach, 0.0), 0.05, (n, n, 24))
+    whole = fuse([depth], k, torch.eye(4)[None], grid, TRUNCATION, FAR)
+    assert int((whole.weight > 0).sum()) > 0.5 * n * n
+    memory = BYTES * 9 * grid.shape[1] * grid.shape[2]
+    parts = list(fuse_in_slabs([depth], k, torch.eye(4)[None], grid, TRUNCATION, FAR, memory))
+    assert torch.equal(torch.cat([part.weight[:own] for own, part in parts]), whole.weight)
+
+
 MEASURE = """
 import resource, sys, torch
 sys.path[:] = {path!r}

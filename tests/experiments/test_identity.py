@@ -303,3 +303,12 @@ def test_directories_say_what_differs(overrides: str, name: str) -> None:
 )
 def test_rows_are_called_as_in_the_paper(overrides: str, label: str) -> None:
     assert row_label(composed(*overrides.split())) == label
+
+
+def test_with_shards_the_loaders_shape_the_weights() -> None:
+    """Each reads a part of them; without, chunks are drawn alike by any number."""
+    none, few, many = (
+        with_content(composed(f"trainer.workers={n}"), shards="digest") for n in (0, 1, 3)
+    )
+    assert keys(few)[0] != keys(many)[0]
+    assert keys(none) == keys(few)

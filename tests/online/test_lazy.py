@@ -158,6 +158,28 @@ def test_what_is_rough_is_made_good(tiny_network: Factory, scene: Scene) -> None
     assert_same_surface(r.mesh(), reconstruct(network, scene, views=2).mesh())
 
 
+@pytest.mark.parametrize("far", [100.0, 1e20, np.inf])
+def test_a_region_may_be_without_end(tiny_network: Factory, scene: Scene, far: float) -> None:
+    """Also when it is the first that is asked for: all below a height, say."""
+    network = balanced(tiny_network(), scene)
+    region = ([-far] * 3, [far, far, 1.0])
+    first = reconstruct(network, scene).mesh(region, color=False)
+    whole = reconstruct(network, scene)
+    whole.update()
+    assert len(first.faces) > 100
+    assert_same_surface(first, whole.mesh(region, color=False))
+
+
+def test_a_camera_too_far_away_is_refused(tiny_network: Factory, scene: Scene) -> None:
+    """Keys of voxels have room for so much; beyond, they would be those of others."""
+    r = reconstruct(tiny_network(), scene)
+    frames, pose = len(r.frames), scene.world_T_cam[0].copy()
+    pose[0, 3] += 450_000.0  # as in UTM
+    with pytest.raises(TFLabError, match=r"450,\d+ m from the origin.*subtract the same offset"):
+        r.add_frame(scene.image(0), scene.K[0], pose)
+    assert len(r.frames) == frames
+
+
 def test_only_chunks_that_changed_are_meshed(tiny_network: Factory, scene: Scene) -> None:
     network = balanced(tiny_network(refine=False), scene)
     r = reconstruct(network, scene)
@@ -266,6 +288,20 @@ def test_save_and_go_on(
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     with pytest.raises(TFLabError, match="another network"):
         Reconstructor.load(path, tiny_network(seed=1))
+
+
+def test_maps_that_lay_on_a_device_that_is_not_here(
+    tiny_network: Factory, scene: Scene, tmp_path: Path
+) -> None:
+    """Where maps lie changes no number, so that a file from a machine with a GPU can be read."""
+    network, path = balanced(tiny_network(), scene), tmp_path / "r.safetensors"
+    r = reconstruct(network, scene, views=3)
+    missing = f"cuda:{torch.cuda.device_count()}"
+    object.__setattr__(r.settings, "maps_device", missing)
+    r.save(path)
+    loaded = Reconstructor.load(path, network)
+    assert loaded.settings.maps_device is None
+    assert_same_surface(loaded.mesh(), r.mesh())
 
 
 def test_an_empty_reconstruction_can_be_saved(tiny_network: Factory, tmp_path: Path) -> None:

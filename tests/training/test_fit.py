@@ -17,6 +17,7 @@ from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import sessions_of
 from tf_lab.training.callbacks import TrainingSessions
+from tf_lab.training.datamodule import batches_done
 from tf_lab.training.fit import AtomicSaves, FitSettings, fit, rank_zero_lock
 
 CPU = TrainerSettings(accelerator="cpu", workers=0)
@@ -75,6 +76,42 @@ def test_an_interrupted_one_goes_on_to_the_same_end(tmp_path: Path) -> None:
     assert torch.equal(rest.slope, whole.slope)
     saved = torch.load(tmp_path / "parts" / "last.ckpt", weights_only=True)
     assert saved["global_step"] == 9
+
+
+class StopAfter(Callback):
+    """Ends a training after so many batches, in the midst of a step, as `max_time` does."""
+
+    def __init__(self, batches: int) -> None:
+        self.left = batches
+
+    def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
+        self.left -= 1
+        trainer.should_stop = self.left == 0
+
+
+class AllNumbers(L.LightningDataModule):
+    """The number of every batch."""
+
+    def train_dataloader(self) -> DataLoader[float]:
+        assert self.trainer is not None
+        numbers = [float(batch) for batch in range(batches_done(self.trainer), 100)]
+        return DataLoader(numbers, batch_size=None)  # type: ignore[arg-type]
+
+
+def test_a_step_that_was_broken_off_is_done_as_a_whole(tmp_path: Path) -> None:
+    """With accumulated gradients a training may end between the batches of a step."""
+    trainer = replace(CPU, others={"accumulate_grad_batches": 2})
+    settings = FitSettings(steps=6, save_every=9)
+    whole = Line()
+    fit(whole, AllNumbers, tmp_path / "whole", trainer, settings, loggers=[])
+    assert whole.seen == [float(batch) for batch in range(12)]
+    parts = Line()
+    with pytest.raises(KeyboardInterrupt):
+        stop = [StopAfter(5)]
+        fit(Line(), AllNumbers, tmp_path / "parts", trainer, settings, loggers=[], callbacks=stop)
+    fit(parts, AllNumbers, tmp_path / "parts", trainer, settings, loggers=[])
+    assert parts.seen == [float(batch) for batch in range(4, 12)]
+    assert torch.equal(parts.slope, whole.slope)
 
 
 def test_gradients_are_clipped(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def far_from(uv: Tensor) -> Tensor:
 def test_perfect_features_are_found() -> None:
     uv = grid_points()
     loss, top1 = matching_loss(
-        distinct_maps(), uv[None], with_wrong(uv, far_from(uv)), SIZE, temperature=0.07
+        distinct_maps(), uv[None], with_wrong(uv, far_from(uv)), SIZE, 1, temperature=0.07
     )
     # similarity 1 with the truth; 0 with the 11 other points and one's own wrong candidate
     assert len(uv) == 12
@@ -48,7 +48,7 @@ def test_perfect_features_are_found() -> None:
 def test_features_that_tell_nothing_cost_the_log_of_the_candidates() -> None:
     uv = grid_points()
     maps = torch.ones(1, 2, 5, 6, 8)
-    loss, _ = matching_loss(maps, uv[None], with_wrong(uv, far_from(uv)), SIZE, 0.07)
+    loss, _ = matching_loss(maps, uv[None], with_wrong(uv, far_from(uv)), SIZE, 1, 0.07)
     # all others are at least 2 pixels away: all points, and one candidate of one's own
     assert float(loss) == pytest.approx(math.log(len(uv) + 1), rel=1e-5)
 
@@ -56,7 +56,7 @@ def test_features_that_tell_nothing_cost_the_log_of_the_candidates() -> None:
 def test_random_features_cost_about_as_much_and_find_as_little() -> None:
     uv = torch.rand(64, 400, 2, generator=torch.Generator().manual_seed(0)) * 90 + 5
     maps = torch.randn(64, 2, 64, 50, 50, generator=torch.Generator().manual_seed(1))
-    loss, top1 = matching_loss(maps, uv, uv[:, :, None], (100, 100), temperature=1.0)
+    loss, top1 = matching_loss(maps, uv, uv[:, :, None], (100, 100), 2, temperature=1.0)
     assert float(loss) == pytest.approx(math.log(400), abs=0.05)
     assert float(top1) < 0.02
 
@@ -76,7 +76,7 @@ def test_by_hand() -> None:
             put(0 if name == "a" else 1, column, value)
     pixels = {name: torch.tensor([[c, 0.0] for c in columns[name]]) for name in columns}
     loss, top1 = matching_loss(
-        maps, pixels["a"][None], with_wrong(pixels["b"], pixels["wrong"]), (12, 1), 0.5
+        maps, pixels["a"][None], with_wrong(pixels["b"], pixels["wrong"]), (12, 1), 1, 0.5
     )
 
     def similarity(a: float, b: float) -> float:
@@ -101,7 +101,9 @@ def test_candidates_beside_the_truth_are_not_wrong(stride: int) -> None:
     limit = APART * stride
 
     def cost(wrong: list[list[float]]) -> float:
-        loss, _ = matching_loss(maps, uv[None], with_wrong(uv, torch.tensor(wrong)), (64, 48), 1.0)
+        loss, _ = matching_loss(
+            maps, uv[None], with_wrong(uv, torch.tensor(wrong)), (64, 48), stride, 1.0
+        )
         return float(loss)
 
     apart = [[x + limit + 0.1, y] for x, y in uv.tolist()]
@@ -112,7 +114,7 @@ def test_candidates_beside_the_truth_are_not_wrong(stride: int) -> None:
     assert cost(outside) == pytest.approx(math.log(3), rel=1e-5)
     # neighbours among the true points: two of three within the limit leave two choices or three
     uv = torch.tensor([[20.0, 20.0], [20.0 + limit - 0.1, 20.0], [40.0, 40.0]])
-    loss, _ = matching_loss(maps, uv[None], uv[None, :, None], (64, 48), 1.0)
+    loss, _ = matching_loss(maps, uv[None], uv[None, :, None], (64, 48), stride, 1.0)
     assert float(loss) == pytest.approx((2 * math.log(2) + math.log(3)) / 3, rel=1e-5)
 
 
@@ -122,12 +124,12 @@ def test_the_gradient_pulls_corresponding_features_together() -> None:
     uv = grid_points()
     optimizer = torch.optim.Adam([maps], lr=0.1)
     for _ in range(60):
-        loss, _ = matching_loss(maps, uv[None], with_wrong(uv, far_from(uv)), SIZE, 0.1)
+        loss, _ = matching_loss(maps, uv[None], with_wrong(uv, far_from(uv)), SIZE, 1, 0.1)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
     found = maps.detach()
-    loss, top1 = matching_loss(found, uv[None], with_wrong(uv, far_from(uv)), SIZE, 0.1)
+    loss, top1 = matching_loss(found, uv[None], with_wrong(uv, far_from(uv)), SIZE, 1, 0.1)
     assert float(top1) == 1
     assert float(loss) < 0.01
     u, v = uv.long().unbind(-1)

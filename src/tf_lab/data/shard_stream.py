@@ -73,7 +73,8 @@ class ShardStream(IterableDataset[ChunkBatch]):
     shards than processes). Batches follow each other without regard to the ends of epochs.
 
     A batch is a function of the seed, the step and the numbers of processes and workers: resumed
-    at a step, the stream goes on as it would have. A damaged chunk is left out of its batch.
+    at a step, the stream goes on as it would have. A damaged chunk is left out of its batch; in the
+    place of a batch that has no whole chunk comes the next one that has.
 
     Args:
         shards: where the chunks lie.
@@ -105,15 +106,14 @@ class ShardStream(IterableDataset[ChunkBatch]):
         low, high = self._part(step % workers, workers)
         batch_size = self.settings.chunks
         records = self._records(low, high, (step // workers) * batch_size)
-        empty = 0
+        due = 0  # batches: this one, and those before it that had no whole chunk
         while True:
-            batch = [r for r in islice(records, batch_size) if r is not None]
-            if batch:
-                yield make_batch(batch, self.settings, self.seed, self.rank, step)
-            empty = 0 if batch else empty + batch_size
-            if empty > high - low:
+            batch, due = [r for r in islice(records, batch_size) if r is not None], due + 1
+            if not batch and due * batch_size > high - low:
                 raise TFLabError(f"{self.shards.shards[0].url}: no chunk in an epoch is whole")
-            step += workers
+            while batch and due:
+                yield make_batch(batch, self.settings, self.seed, self.rank, step)
+                step, due = step + workers, due - 1
 
     def _part(self, worker: int, workers: int) -> tuple[int, int]:
         """The positions, from and up to, that a worker of this process has in every epoch."""

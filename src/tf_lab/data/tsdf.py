@@ -79,7 +79,8 @@ def fuse(
     """Fuse depth maps [h, w] (camera z, metres; 0 unknown) with equal weights.
 
     Args:
-        depths: N depth maps; only those whose camera may see the rows are asked for.
+        depths: N depth maps of one size; only the first is asked for, and those whose camera may
+            see the rows.
         K: [N, 3, 3] intrinsics of the depth maps.
         world_T_cam: [N, 4, 4].
         grid: where to fuse.
@@ -92,9 +93,10 @@ def fuse(
     first, last = rows or (0, grid.shape[0])
     shape = (last - first, *grid.shape[1:])
     total, weight = torch.zeros(shape, device=device), torch.zeros(shape, device=device)
+    size: tuple[int, int] | None = None  # told by the first
     for i in range(len(depths)):
-        pose = world_T_cam[i]
-        if _frustum_block(grid, (first, last), K[i], pose, None, far + truncation) is None:
+        camera = K[i], world_T_cam[i]
+        if size and _frustum_block(grid, (first, last), *camera, size, far + truncation) is None:
             continue
         depth = depths[i]
         depth = torch.where(depth > far, torch.zeros_like(depth), depth)
@@ -102,11 +104,11 @@ def fuse(
         reach = float(depth.max())
         if reach <= 0:
             continue
-        block = _frustum_block(grid, (first, last), K[i], pose, size, reach + truncation)
+        block = _frustum_block(grid, (first, last), *camera, size, reach + truncation)
         if block is not None:
             x, y, z = block
             part = (slice(x.start - first, x.stop - first), y, z)
-            signed, seen = _measure(grid, block, depth.to(device), K[i], pose, truncation)
+            signed, seen = _measure(grid, block, depth.to(device), *camera, truncation)
             total[part] += signed
             weight[part] += seen
     block_grid = grid.block((first, 0, 0), (last, *grid.shape[1:]))
@@ -157,19 +159,11 @@ def _frustum_block(
     rows: tuple[int, int],
     K: Tensor,
     world_T_cam: Tensor,
-    size: tuple[int, int] | None,
+    size: tuple[int, int],
     reach: float,
 ) -> tuple[slice, slice, slice] | None:
-    """What of the grid's rows a camera can see up to a depth, as slices; None if nothing.
-
-    Without an image size: what is within the ball that holds any image's frustum, whose
-    corners are at most 60 degrees off the optical axis.
-    """
-    if size is None:
-        eye = world_T_cam[None, :3, 3]
-        index = grid.to_index(torch.cat([eye - 2 * reach, eye + 2 * reach]))
-    else:
-        index = grid.to_index(frustum_corners(K, world_T_cam, size, 0.0, reach))
+    """What of the grid's rows a camera can see up to a depth, as slices; None if nothing."""
+    index = grid.to_index(frustum_corners(K, world_T_cam, size, 0.0, reach))
     low = (index.amin(0).floor().long() - 1).clamp(min=0).tolist()
     high = (index.amax(0).ceil().long() + 2).tolist()
     high = [min(h, n) for h, n in zip(high, grid.shape, strict=True)]

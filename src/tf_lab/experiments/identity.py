@@ -31,6 +31,8 @@ def training_identity(config: TrainConfig) -> dict[str, Any]:
     identity = shaping(config, "weights")
     if config.content.encoder is not None:  # a file: known by what is in it
         del identity["encoder"]["weights"]
+    if config.content.shards is not None:  # of which each loader process reads a part
+        identity["loaders"] = max(1, config.trainer.workers)
     callbacks = [c for c in config.callbacks.values() if c.get("_target_") not in WATCHING]
     return {**identity, "callbacks": callbacks} if callbacks else identity
 

@@ -2,6 +2,9 @@ from .cameras import (
     check_focal as check_focal,
 )
 from .cameras import (
+    covered_pixels as covered_pixels,
+)
+from .cameras import (
     grid_sample as grid_sample,
 )
 from .cameras import (

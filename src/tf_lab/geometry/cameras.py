@@ -88,13 +88,21 @@ def pixel_directions(K: Tensor, size: tuple[int, int]) -> Tensor:
     return pixels @ torch.linalg.inv(K).transpose(-1, -2)
 
 
+def covered_pixels(maps: Tensor, stride: int) -> tuple[int, int]:
+    """What maps [..., h, w] of a stride cover, from the image's corner on: (width, height), pixels.
+
+    Where the stride does not divide the image's size that is more than the image: the last pixels
+    of the maps reach beyond it.
+    """
+    return maps.shape[-1] * stride, maps.shape[-2] * stride
+
+
 def sample_maps(maps: Tensor, uv: Tensor, size: tuple[int, int], mode: str = "bilinear") -> Tensor:
     """Samples of feature maps [N, C, h, w] at image pixels [N, P, 2]: [N, P, C].
 
-    They are bilinear, or of the ``nearest`` pixel. ``size`` is the (width, height) of the image
-    that the pixels refer to; the stride of the map does not matter, because coordinates are
-    normalised by the image. Beyond the border the nearest border value is returned; validity is
-    told apart by `in_view`.
+    They are bilinear, or of the ``nearest`` pixel. ``size`` is the (width, height) of what the maps
+    cover, in the image's pixels: the image, or `covered_pixels`. Beyond the border the nearest
+    border value is returned; validity is told apart by `in_view`.
     """
     grid = (uv + 0.5) * (2.0 / uv.new_tensor(size)) - 1.0
     grid = grid.clamp(-2, 2)  # huge coordinates of points beside the camera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from tf_lab.geometry import VoxelGrid, in_view, invert_pose, project, sample_maps
+from tf_lab.geometry import VoxelGrid, covered_pixels, in_view, invert_pose, project, sample_maps
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.chunks import KeepViews, Predictions, Views
 from tf_lab.network.encoders import make_encoder
@@ -30,7 +30,7 @@ class Network(nn.Module):
         # channels last: convolutions and samples along the channels are faster, on CPU and GPU
         self.encoder = make_encoder(**c.encoder)
         self.encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        channels = self.encoder.channels
+        channels, self.stride = self.encoder.channels, self.encoder.stride
         self.tokens = nn.ModuleDict(
             {name: Tokens(channels[name], c.width, c.depth, c.ray) for name in LEVELS}
         )
@@ -194,7 +194,7 @@ class Network(nn.Module):
             keep: see `forward`.
         """
         rows = where.flatten().nonzero().squeeze(1)  # once: a mask makes the host wait each time
-        measured = self._measure(maps, views, points).each(
+        measured = self._measure(level, maps, views, points).each(
             lambda values: values.flatten(0, 1).index_select(0, rows)
         )
         chunk = torch.arange(len(voxels), device=maps.device)[:, None].expand_as(voxels)
@@ -210,12 +210,13 @@ class Network(nn.Module):
         fused, _ = self.fuse(level, self.embed_kept(level, kept), slots, times)
         return fused, measured.valid.any(1)
 
-    def _measure(self, maps: Tensor, views: Views, points: Tensor) -> Measurements:
+    def _measure(self, level: str, maps: Tensor, views: Views, points: Tensor) -> Measurements:
         """What all views of their chunks say of points [B, P, 3]: [B, P, V, ...]."""
         B, V = views.images.shape[:2]
         each = points.unsqueeze(1).expand(-1, V, -1, -1).flatten(0, 1)
         K, world_T_cam = views.K.flatten(0, 1), views.world_T_cam.flatten(0, 1)
         stereo = None if views.stereo is None else views.stereo.flatten(0, 1)
+        covered = covered_pixels(maps, self.stride[level])
         found = measure(
             each,
             K,
@@ -223,7 +224,7 @@ class Network(nn.Module):
             invert_pose(world_T_cam),
             views.size,
             (self.config.near, self.config.far),
-            lambda uv: sample_maps(maps, uv, views.size),
+            lambda uv: sample_maps(maps, uv, covered),
             None if stereo is None else lambda uv: sample_maps(stereo, uv, views.size, "nearest"),
         )
         return found.each(lambda values: values.unflatten(0, (B, V)).transpose(1, 2))

@@ -29,6 +29,7 @@ from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.lattice.table import Table
 from tf_lab.stereo.depth import CHANNELS, DepthSequence
 
+FAR = 10_000.0  # metres, of cameras from the origin; a float32 there is exact to a millimetre
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
 CAMERA = {"K": (3, 3), "world_T_cam": (4, 4), "cam_T_world": (4, 4), "planes": (6, 4)}
 
@@ -50,6 +51,12 @@ def check_camera(K: Tensor, world_T_cam: Tensor, size: tuple[int, int]) -> None:
         raise TFLabError(f"a pose of shape {tuple(world_T_cam.shape)}; it has to be [4, 4]")
     if not is_valid_pose(world_T_cam):
         raise TFLabError("a pose that is no rigid transform: the camera is lost")
+    away = float(world_T_cam[:3, 3].abs().max())
+    if away > FAR:
+        raise TFLabError(
+            f"a camera {away:,.0f} m from the origin, of {FAR:,.0f} at most (single precision gets "
+            "coarse there); subtract the same offset from all poses"
+        )
     if K.shape != (3, 3) or not K.isfinite().all():
         raise TFLabError("intrinsics that are not 3x3 finite numbers")
     if not (0 <= K[0, 2] < size[0] and 0 <= K[1, 2] < size[1]):
@@ -193,9 +200,9 @@ class Frames:
         return out
 
     def _gather(self, level: str, frames: Tensor, uv: Tensor) -> Tensor:
-        (h, w), (width, height) = self._shape[level], self.size
-        x = ((uv[:, 0] + 0.5) * (w / width) - 0.5).clamp(0, w - 1)  # the border's value beyond it
-        y = ((uv[:, 1] + 0.5) * (h / height) - 0.5).clamp(0, h - 1)
+        (h, w), stride = self._shape[level], self.network.stride[level]
+        x = ((uv[:, 0] + 0.5) / stride - 0.5).clamp(0, w - 1)  # the border's value beyond it
+        y = ((uv[:, 1] + 0.5) / stride - 0.5).clamp(0, h - 1)
         x0, y0 = x.floor(), y.floor()
         fx, fy = x - x0, y - y0
         weights = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], 1)

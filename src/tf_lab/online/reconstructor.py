@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -41,6 +42,7 @@ from tf_lab.online.surface import Surface, whole_chunks
 from tf_lab.online.views import make_policy
 from tf_lab.online.views.selection import without_logits
 from tf_lab.online.views.store import ViewStore
+from tf_lab.support.devices import is_there
 
 COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 
@@ -169,6 +171,8 @@ class Reconstructor:
             TFLabError: the file is missing, damaged, or made with another network.
         """
         settings, tensors = read_state(path, network)
+        if settings.maps_device is not None and not is_there(settings.maps_device):
+            settings = replace(settings, maps_device=None)  # which changes no number
         r = cls(network, settings)
         restore(path, tensors, r.frames, (r.coarse, r.fine))
         return r

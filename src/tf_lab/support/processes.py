@@ -45,7 +45,8 @@ class Children:
                 process.terminate()
                 raise
             finally:
-                self._running.discard(process)
+                with self._lock:
+                    self._running.discard(process)
         return process.returncode
 
     def _started(

@@ -198,6 +198,22 @@ class _Identity(Callback):
         checkpoint[IDENTITY] = self.identity
 
 
+class _WholeSteps(Callback):
+    """Goes on after the last whole step: batches of one that was broken off are met again.
+
+    Lightning would count them as done, and accumulate gradients over other batches than without
+    the break.
+    """
+
+    def on_load_checkpoint(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        progress = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
+        done = checkpoint["global_step"] * trainer.accumulate_grad_batches
+        for counts in (progress["current"], progress["total"]):
+            counts.update(dict.fromkeys(counts, done))
+
+
 def _trainer(
     directory: Path,
     trainer: TrainerSettings,
@@ -213,6 +229,7 @@ def _trainer(
         enable_version_counter=False,
         save_on_train_epoch_end=False,
     )
+    always = [Finite(directory / LAST), saving, _WholeSteps()]
     identity = [] if settings.identity is None else [_Identity(settings.identity)]
     every = min(settings.validate_every, settings.steps)
     batches = every * trainer.others.get("accumulate_grad_batches", 1)
@@ -230,7 +247,7 @@ def _trainer(
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             gradient_clip_val=settings.clip or None,
-            callbacks=[Finite(directory / LAST), saving, *identity, *callbacks, TrainingProgress()],
+            callbacks=[*always, *identity, *callbacks, TrainingProgress()],
             plugins=[AtomicSaves()],
             logger=list(loggers),
             log_every_n_steps=5,

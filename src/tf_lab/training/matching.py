@@ -13,7 +13,7 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
 from tf_lab.data.pairs import PairBatch
-from tf_lab.geometry import sample_maps
+from tf_lab.geometry import covered_pixels, sample_maps
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.training.schedule import warm_cosine
 
@@ -21,7 +21,12 @@ APART = 1.5  # candidates nearer to the truth than this many strides are not wro
 
 
 def matching_loss(
-    maps: Tensor, uv_a: Tensor, uv_b: Tensor, size: tuple[int, int], temperature: float
+    maps: Tensor,
+    uv_a: Tensor,
+    uv_b: Tensor,
+    size: tuple[int, int],
+    stride: int,
+    temperature: float,
 ) -> tuple[Tensor, Tensor]:
     """Find each point of the first image among all points and epipolar candidates of the second.
 
@@ -30,15 +35,17 @@ def matching_loss(
         uv_a: [B, P, 2] pixels in the first images.
         uv_b: [B, P, 1 + E, 2] pixels in the second: the true one, then wrong ones.
         size: (width, height) of the images, pixels.
+        stride: of the maps.
         temperature: of the softmax over cosine similarities.
 
     Returns:
         The loss, and the share of points whose most similar candidate is the true one.
     """
     B, P, n = uv_b.shape[:3]
-    stride = size[0] / maps.shape[-1]
-    a = F.normalize(sample_maps(maps[:, 0], uv_a, size), dim=-1)
-    b = F.normalize(sample_maps(maps[:, 1], uv_b.flatten(1, 2), size), dim=-1).unflatten(1, (P, n))
+    covered = covered_pixels(maps, stride)
+    a = F.normalize(sample_maps(maps[:, 0], uv_a, covered), dim=-1)
+    b = F.normalize(sample_maps(maps[:, 1], uv_b.flatten(1, 2), covered), dim=-1)
+    b = b.unflatten(1, (P, n))
     others = torch.einsum("bpc,bqc->bpq", a, b[:, :, 0])
     along = torch.einsum("bpc,bpec->bpe", a, b[:, :, 1:])
     true = uv_b[:, :, 0]
@@ -97,7 +104,7 @@ class Matching(L.LightningModule):
             for name, level in zip(("coarse", "fine"), maps, strict=True):
                 pairs = level.float().unflatten(0, (-1, 2))
                 terms[name], terms[f"{name}_top1"] = matching_loss(
-                    pairs, batch.uv_a, batch.uv_b, size, self.temperature
+                    pairs, batch.uv_a, batch.uv_b, size, self.encoder.stride[name], self.temperature
                 )
         terms["loss"] = terms["coarse"] + terms["fine"]
         return terms

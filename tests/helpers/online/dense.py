@@ -19,6 +19,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import (
     COARSE,
     VoxelGrid,
+    covered_pixels,
     invert_pose,
     pixel_directions,
     sample_maps,
@@ -57,7 +58,8 @@ def measured(
     cameras = (K[None], world_T_cam[None], invert_pose(world_T_cam)[None])
 
     def sample(uv: Tensor) -> Tensor:
-        return sample_maps(maps[level][None], uv, size)
+        covered = covered_pixels(maps[level], network.stride[level])
+        return sample_maps(maps[level][None], uv, covered)
 
     def stereo(uv: Tensor) -> Tensor:
         return sample_maps(maps["stereo"][None], uv, size, "nearest")

@@ -47,12 +47,14 @@ class Encoder(nn.Module):
         MEAN, STD: of RGB in 0..1, which normalised images have subtracted and divided by.
         PUBLISHED: what ``encoder.weights`` calls the weights that others made for the trunk.
         channels: of the maps {"coarse", "fine"}.
+        stride: of the same, image pixels a pixel.
     """
 
     MEAN: ClassVar[tuple[float, float, float]]
     STD: ClassVar[tuple[float, float, float]]
     PUBLISHED: ClassVar[str] = "imagenet"
     channels: dict[str, int]
+    stride: dict[str, int]
     mean: Tensor
     std: Tensor
 
@@ -114,6 +116,7 @@ class Encoder(nn.Module):
             raise TFLabError("encoder.fine_stride must not exceed encoder.coarse_stride")
         self.unit_norm = unit_norm
         self.channels = {"coarse": coarse_channels, "fine": fine_channels}
+        self.stride = {"coarse": coarse_stride, "fine": fine_stride}
         width = pyramid_channels or max(fine_channels, coarse_channels)
         self.lateral = nn.ModuleList(
             nn.Conv2d(c, width, 1) for c in trunk_channels[self.fine_level :]

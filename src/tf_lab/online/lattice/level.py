@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.frames import Frames
-from tf_lab.online.lattice.blocks import Blocks, dilate
+from tf_lab.online.lattice.blocks import HALF, Blocks, dilate
 from tf_lab.online.lattice.table import Table
 from tf_lab.online.views.store import ViewStore
 
@@ -143,7 +143,8 @@ class Level:
             return torch.ones(len(self.blocks), dtype=torch.bool, device=self.device)
         edge = BLOCK * self.voxel
         low, high = (
-            np.floor(corner / edge + e) for corner, e in zip(box, (-1e-6, 1e-6), strict=True)
+            np.clip(np.floor(corner / edge + e), -HALF, HALF)  # a box may be infinite
+            for corner, e in zip(box, (-1e-6, 1e-6), strict=True)
         )
         c = self.blocks.coords
         return (c >= c.new_tensor(low)).all(1) & (c <= c.new_tensor(high)).all(1)
