@@ -10,6 +10,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate, scene_names
 from tf_lab.evaluation.scores import format_table
 from tf_lab.support.files import check_file, write_json
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.progress import tracked
 from tf_lab.support.words import counted
 
@@ -45,7 +46,7 @@ def _check_groundtruth(folder: Path) -> None:
         TFLabError: no scene in it has any.
     """
     names = scene_names(folder)
-    if not any((folder / name / "mesh_gt.ply").exists() for name in names):
+    if not any((folder / name / GROUNDTRUTH_MESH).exists() for name in names):
         raise TFLabError(
             f"{folder}: no ground truth in {counted(len(names), 'folder')} of it, such as "
             f"{names[0]}; give the folder of <scene>/mesh_gt.ply, <scene>/occlusion_mask.npy and "

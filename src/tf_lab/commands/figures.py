@@ -34,6 +34,7 @@ from tf_lab.reporting.studies import Study, open_study
 from tf_lab.support.devices import device_of
 from tf_lab.support.documents import read_json
 from tf_lab.support.files import check_folder
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 
 STEREO = "Plane-sweep stereo"
 SHOWN_ROWS = 4  # of a study, in the comparison
@@ -156,7 +157,7 @@ class Workbench:
         """The first scene by the network."""
         name, capture = next(iter(self.scenes.items()))
         directory = self._truth(name)
-        truth = None if directory is None else read_mesh(directory / "mesh_gt.ply")
+        truth = None if directory is None else read_mesh(directory / GROUNDTRUTH_MESH)
         return Shown(capture, self._make(name, self.settings), truth)
 
     def compared(self) -> list[Compared]:
@@ -187,7 +188,7 @@ class Workbench:
         if directory is None:
             return Compared(name, meshes, None)
         scores = {key: evaluate_scene(mesh, directory)["fscore"] for key, mesh in meshes.items()}
-        return Compared(name, meshes, read_mesh(directory / "mesh_gt.ply"), scores)
+        return Compared(name, meshes, read_mesh(directory / GROUNDTRUTH_MESH), scores)
 
     def _make(
         self, name: str, how: ReconstructionSettings | str, frames: int | None = None

@@ -23,6 +23,7 @@ from tf_lab.data.sources.source import DataSource, open_source
 from tf_lab.errors import TFLabError
 from tf_lab.online.settings import InferenceSettings
 from tf_lab.reporting.results import Run, read_run
+from tf_lab.support.layout import CONFIG, GROUNDTRUTH_MESH
 from tf_lab.support.records import record
 
 C = TypeVar("C", ViewConfig, FiguresConfig)
@@ -55,7 +56,7 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     Raises:
         TFLabError: they are not on this machine.
     """
-    if not (directory / "config.yaml").exists():
+    if not (directory / CONFIG).exists():
         state = "no run, there is no config.yaml in it" if directory.is_dir() else "no such folder"
         raise TFLabError(f"run={directory}: {state}; `python -m tf_lab.runs` lists the runs")
     run: Run = read_run(directory)
@@ -106,11 +107,11 @@ def own_groundtruth(capture: Capture) -> Iterator[Path | None]:
     """
     with tempfile.TemporaryDirectory() as temporary:
         directory = Path(temporary)
-        if isinstance(capture, Scene) and (capture.groundtruth / "mesh_gt.ply").exists():
+        if isinstance(capture, Scene) and (capture.groundtruth / GROUNDTRUTH_MESH).exists():
             directory = capture.groundtruth
         else:
             _fuse_depth(capture, directory)
-        yield directory if (directory / "mesh_gt.ply").exists() else None
+        yield directory if (directory / GROUNDTRUTH_MESH).exists() else None
 
 
 def _fuse_depth(capture: Capture, directory: Path) -> None:

@@ -18,7 +18,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.experiments.provenance import provenance
 from tf_lab.meshes.files import read_mesh
-from tf_lab.support.files import atomic_path, check_folder, file_name
+from tf_lab.support.files import atomic_path, check_folder
+from tf_lab.support.layout import GROUNDTRUTH_MESH, picture_path
 from tf_lab.support.progress import progress_bar
 
 
@@ -86,13 +87,13 @@ def _draw(scenes: Sequence[Path]) -> None:
     for directory in scenes:
         scene = Scene(directory)
         name = scene.name if directory.name == scene.name else f"{scene.name}-{directory.name}"
-        pictures[directory.parents[1] / "pictures" / f"{file_name(name)}.png"] = scene
+        pictures[picture_path(directory.parents[1], name)] = scene
     with progress_bar() as bar:
         for path, scene in bar.track(pictures.items(), description="drawing"):
             if path.exists():
                 continue
             try:
-                mesh = read_mesh(scene.groundtruth / "mesh_gt.ply")
+                mesh = read_mesh(scene.groundtruth / GROUNDTRUTH_MESH)
                 chosen = np.linspace(0, len(scene) - 1, 6).astype(int)
                 images = [scene.image(int(i)) for i in chosen]
             except TFLabError as error:

@@ -31,6 +31,7 @@ from tf_lab.online.captures import Reconstruction, reconstruct
 from tf_lab.poses.refined import Refined
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file, file_name, told_apart
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.progress import progress_bar
 from tf_lab.support.words import counted
 
@@ -159,7 +160,7 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
             bar.update(task, completed=1, description="scoring")
             if groundtruth is not None:
                 scores = evaluate_scene(result.mesh, groundtruth)
-                truth = read_mesh(groundtruth / "mesh_gt.ply")
+                truth = read_mesh(groundtruth / GROUNDTRUTH_MESH)
         bar.update(task, completed=2, description="drawing")
         fscore = scores["fscore"] if scores else None
         compare(result.mesh, truth, images, picture, capture.name, fscore)

@@ -12,6 +12,7 @@ from tf_lab.reporting.results import keep_run
 from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import short_table
 from tf_lab.support.files import check_folder
+from tf_lab.support.layout import PICTURES, RUNS
 
 
 def run(config: ReportConfig) -> None:
@@ -22,13 +23,13 @@ def run(config: ReportConfig) -> None:
     study, remarks = open_study(folders, config.study)
     if config.keep:
         for run in study.runs.values():
-            keep_run(run, output / "runs")
+            keep_run(run, output / RUNS)
     write_report(study, remarks, output)
     pictures = 0
     if config.pictures:
         from tf_lab.reporting.gallery import draw_pictures  # imports trimesh
 
-        pictures = draw_pictures(study, output / "pictures")
+        pictures = draw_pictures(study, output / PICTURES)
     figures, left_out = _draw_figures(config, study, output / "figures")
     if config.pages:
         from tf_lab.reporting.pages import write_pages  # imports trimesh

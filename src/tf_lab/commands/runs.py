@@ -13,8 +13,6 @@ from typing import NoReturn
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.inventory import (
-    RUNS,
-    TRAININGS,
     Entry,
     find,
     find_runs,
@@ -23,6 +21,7 @@ from tf_lab.experiments.inventory import (
 )
 from tf_lab.experiments.provenance import commits_of, sessions_of
 from tf_lab.support.files import remove_directory
+from tf_lab.support.layout import CONFIG, RUNS, TRAININGS
 from tf_lab.support.tables import NOTHING, aligned
 from tf_lab.support.text import read_text
 
@@ -136,7 +135,7 @@ def details(entry: Entry) -> str:
         known["training"] = {k: v for k, v in training.items() if k != "config"}
     lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
     lines += ["", "cannot be read:", *entry.problems] if entry.problems else []
-    path = entry.directory / "config.yaml"
+    path = entry.directory / CONFIG
     if entry.config:
         lines += ["", "config:", read_text(path, "the settings of a run").rstrip()]
     return "\n".join(lines)

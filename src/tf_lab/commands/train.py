@@ -25,7 +25,7 @@ from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.files import check_folder, write_json
-from tf_lab.support.headers import WEIGHTS
+from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, WEIGHTS
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
@@ -75,7 +75,7 @@ def run(config: TrainConfig) -> None:
     label = row_label(config)
     print(format_table([*metrics.scenes.items(), (label, metrics.mean)]))
     print(f"training: {training_directory(config)}\nrun:      {run}")
-    print(f"pictures: {run / 'pictures'}   ({(time.time() - start) / 60:.1f} minutes in all)")
+    print(f"pictures: {run / PICTURES}   ({(time.time() - start) / 60:.1f} minutes in all)")
 
 
 def identified(config: TrainConfig) -> TrainConfig:
@@ -121,9 +121,9 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     network, info = load_network(checkpoint)
     scenes = [*open_source(config.data, config.content).scenes("test")["test"].values()]
     if not is_helper():
-        write_config(config, run / "config.yaml")
+        write_config(config, run / CONFIG)
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
-        write_json(run / "run.json", {**origin, **info})
+        write_json(run / ORIGIN, {**origin, **info})
     # the trainer brings it to its device
     network = ready(network, config.online, torch.device("cpu"))
     settings, metrics = capture_settings(config), [*config.metrics.values()]
@@ -166,8 +166,8 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
 
     def data() -> SceneDataModule:  # once nothing more is wrong with the settings
         if not is_helper():
-            write_config(config, directory / "config.yaml")
-            write_json(directory / "run.json", sessions.origin)
+            write_config(config, directory / CONFIG)
+            write_json(directory / ORIGIN, sessions.origin)
         train = source.chunks(t.chunk, config.model.near, config.model.far, config.inputs.stereo)
         val = [*source.scenes("val")["val"].values()]
         return SceneDataModule(train, val, config.seed, config.trainer.workers)
@@ -200,8 +200,8 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     _check_size(config)
     if not is_helper():
         sessions = TrainingSessions()
-        write_config(config, directory / "config.yaml")
-        write_json(directory / "run.json", sessions.origin)
+        write_config(config, directory / CONFIG)
+        write_json(directory / ORIGIN, sessions.origin)
         info = {**sessions.summary(), "config": portable_config(config)}
         save_network(network, checkpoint, {"training": info})
 

@@ -22,6 +22,7 @@ from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import read_glb
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.support.devices import device_of
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.viewer.live import Side, show_sessions
 from tf_lab.viewer.serve import LocalServer
 from tf_lab.viewer.still import show_meshes
@@ -118,7 +119,7 @@ def _truth_of(capture: Capture, path: str | None) -> Any:
         if path is not None:
             return Truth(_read(Path(path)))
         with own_groundtruth(capture) as directory:
-            return None if directory is None else Truth(read_mesh(directory / "mesh_gt.ply"))
+            return None if directory is None else Truth(read_mesh(directory / GROUNDTRUTH_MESH))
 
     def truth() -> Truth | None:
         with lock:

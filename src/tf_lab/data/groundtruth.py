@@ -31,6 +31,7 @@ from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse_in_slabs, join,
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid
 from tf_lab.support.arrays import TooManyFilesError, read_array, read_arrays
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.text import read_numbers
 
 VERSION = 3  # changes whenever the output for the same depth does
@@ -167,7 +168,7 @@ def write_groundtruth(
     surface = seen if mesh is None else mesh
     if not len(surface.faces):
         raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
-    surface.export(directory / "mesh_gt.ply")
+    surface.export(directory / GROUNDTRUTH_MESH)
     np.savetxt(directory / "world2grid.txt", torch.linalg.inv(grid.world_T_index).numpy())
     if not training:
         return

@@ -18,6 +18,7 @@ from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Scene
 from tf_lab.geometry import in_view, invert_pose, project
 from tf_lab.meshes.files import read_mesh
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 
 REACH = 5.0  # metres that a frustum reaches
 
@@ -75,6 +76,6 @@ def measure_visibility(
 
 def scene_visibility(scene: Scene, points: int = 20_000) -> Visibility:
     """Of some vertices of a scene's ground truth, seen by its keyframes (see `keyframes`)."""
-    vertices = np.asarray(read_mesh(scene.groundtruth / "mesh_gt.ply").vertices)
+    vertices = np.asarray(read_mesh(scene.groundtruth / GROUNDTRUTH_MESH).vertices)
     every = max(1, len(vertices) // points)
     return measure_visibility(scene, select_keyframes(scene.world_T_cam), vertices[::every])

@@ -23,6 +23,7 @@ from tf_lab.evaluation.metrics import THRESHOLD, Comparison, visibility
 from tf_lab.evaluation.scores import Scores, mean_scores, score
 from tf_lab.meshes.files import read_mesh
 from tf_lab.support.arrays import read_array
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.text import read_numbers
 
 PROTOCOL = "transformerfusion"
@@ -52,7 +53,7 @@ def read_groundtruth(directory: Path) -> GroundTruth:
     Raises:
         TFLabError: a file is missing, damaged or of a wrong shape.
     """
-    mesh = read_mesh(directory / "mesh_gt.ply")
+    mesh = read_mesh(directory / GROUNDTRUTH_MESH)
     if len(mesh.vertices) == 0:
         raise TFLabError(f"{directory / 'mesh_gt.ply'}: has no vertex; prepare the scene again")
     path = directory / "occlusion_mask.npy"

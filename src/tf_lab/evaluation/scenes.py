@@ -22,6 +22,7 @@ from tf_lab.online.captures import Reconstruction, median_views
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
 from tf_lab.support.files import atomic_path, file_name, write_json
+from tf_lab.support.layout import GROUNDTRUTH_MESH, SCORES, mesh_path, picture_path
 from tf_lab.support.records import read_record, record
 
 KEPT = "scenes"  # of a run that is not finished: what there is of its scenes
@@ -50,10 +51,9 @@ def save_scene(
         run: the run's directory.
         code: which code this is.
     """
-    name = file_name(scene.name)
-    with atomic_path(run / "meshes" / f"{name}.ply") as temporary:
+    with atomic_path(mesh_path(run, scene.name)) as temporary:
         write_mesh(result.mesh, temporary)
-    draw(result, scene, run / "pictures" / f"{name}.png", scores["fscore"])
+    draw(result, scene, picture_path(run, scene.name), scores["fscore"])
     details = {
         "seconds": round(seconds, 2),
         "keyframes": len(result.keyframes),
@@ -93,7 +93,7 @@ def surface_views(online: Reconstructor, scene: Scene, keyframes: Sequence[int])
 def draw(result: Reconstruction, scene: Scene, path: Path, fscore: float) -> None:
     """Input frames, prediction beside ground truth, and the error, as one PNG."""
     chosen = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
-    truth = read_mesh(scene.groundtruth / "mesh_gt.ply")
+    truth = read_mesh(scene.groundtruth / GROUNDTRUTH_MESH)
     compare(result.mesh, truth, [scene.image(i) for i in chosen], path, scene.name, fscore)
 
 
@@ -117,5 +117,5 @@ def write_metrics(
         "scenes": {name: result.scores for name, result in results.items()},
         "details": {name: result.details for name, result in results.items()},
     }
-    write_json(run / "metrics.json", metrics)
+    write_json(run / SCORES, metrics)
     shutil.rmtree(run / KEPT, ignore_errors=True)

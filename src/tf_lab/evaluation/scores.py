@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 
 from tf_lab.evaluation.registry import METRICS, metric_columns, with_paper
+from tf_lab.support.layout import SCORES
 from tf_lab.support.records import read_record
 from tf_lab.support.tables import NOTHING, aligned
 
@@ -75,7 +76,7 @@ def read_metrics(run: Path) -> Metrics | None:
     Raises:
         TFLabError: the file is damaged.
     """
-    path = run / "metrics.json"
+    path = run / SCORES
     return read_record(Metrics, path, "delete it to evaluate again") if path.exists() else None
 
 

@@ -17,6 +17,7 @@ from typing import Any
 from tf_lab.config.schema import TrainConfig
 from tf_lab.network.fusion import FUSIONS
 from tf_lab.online.views import POLICIES
+from tf_lab.support.layout import RUNS, TRAININGS
 from tf_lab.support.settings import shaping
 
 PAPER_VIEWS = 16
@@ -51,7 +52,7 @@ def training_directory(config: TrainConfig) -> Path:
     """Where the training of a config lies."""
     name = [config.model.name, *_changes(config), f"seed{config.seed}"]
     key = key_of(training_identity(config))
-    return Path(config.output) / "trainings" / "-".join([*name, key])
+    return Path(config.output) / TRAININGS / "-".join([*name, key])
 
 
 def run_directory(config: TrainConfig) -> Path:
@@ -59,7 +60,7 @@ def run_directory(config: TrainConfig) -> Path:
     select = POLICIES.named(config.select).choice
     name = [config.model.name, *_changes(config), f"views{config.views}", select]
     key = key_of(training_identity(config), evaluation_identity(config))
-    return Path(config.output) / "runs" / "-".join([*name, f"seed{config.seed}", key])
+    return Path(config.output) / RUNS / "-".join([*name, f"seed{config.seed}", key])
 
 
 def row_label(config: TrainConfig) -> str:

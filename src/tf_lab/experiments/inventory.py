@@ -14,12 +14,11 @@ from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.identity import row_label
 from tf_lab.experiments.provenance import Origin, sessions_of
 from tf_lab.experiments.reuse import origin_of, saved_state
-from tf_lab.support.headers import WEIGHTS
+from tf_lab.support.layout import CONFIG, LAST, ORIGIN, RUNS, SCORES, TRAININGS, WEIGHTS
 from tf_lab.support.locks import lock_holder
 from tf_lab.support.records import record
 
 T = TypeVar("T")
-TRAININGS, RUNS = "trainings", "runs"
 UNFINISHED = "unfinished"
 
 
@@ -76,9 +75,9 @@ def _folders(parent: Path) -> list[Path]:
 
 def _training(directory: Path) -> Entry:
     problems: list[str] = []
-    config = _read(read_config, directory / "config.yaml", problems)
+    config = _read(read_config, directory / CONFIG, problems)
     origin: Origin = {}
-    last = directory / "last.ckpt"
+    last = directory / LAST
     try:
         if (directory / WEIGHTS).exists():
             state, origin = "finished", origin_of(directory)
@@ -106,15 +105,15 @@ def _so_far(saved: Mapping[str, Any]) -> Origin:
 
 def _begun(directory: Path, problems: list[str]) -> Origin:
     """The provenance that is written when work begins."""
-    return _read(lambda path: origin_of(path.parent), directory / "run.json", problems) or {}
+    return _read(lambda path: origin_of(path.parent), directory / ORIGIN, problems) or {}
 
 
 def _run(directory: Path) -> Entry:
     problems: list[str] = []
-    config = _read(read_config, directory / "config.yaml", problems)
+    config = _read(read_config, directory / CONFIG, problems)
     bad = len(problems)  # of which a run of another version is none the worse
     origin = _begun(directory, problems)
-    metrics = _read(lambda path: read_metrics(path.parent), directory / "metrics.json", problems)
+    metrics = _read(lambda path: read_metrics(path.parent), directory / SCORES, problems)
     state = "damaged" if problems[bad:] else "finished" if metrics and origin else UNFINISHED
     fscore = metrics.mean.get("fscore") if metrics else None
     user = lock_holder(directory)

@@ -19,7 +19,8 @@ from tf_lab.experiments.provenance import (
     commits_of,
     sessions_of,
 )
-from tf_lab.support.headers import WEIGHTS, read_info
+from tf_lab.support.headers import read_info
+from tf_lab.support.layout import CONFIG, LAST, ORIGIN, WEIGHTS
 from tf_lab.support.records import read_record, record
 
 
@@ -29,7 +30,7 @@ def origin_of(directory: Path) -> Origin:
     Raises:
         TFLabError: it is missing or damaged.
     """
-    checkpoint, run = directory / WEIGHTS, directory / "run.json"
+    checkpoint, run = directory / WEIGHTS, directory / ORIGIN
     cure = f"to make it anew: {removal(directory)}"
     if not checkpoint.exists():
         return read_record(Origin, run, cure)
@@ -81,9 +82,9 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
     """
     steps, found = config.optimizer.steps, []
     beside = glob.escape(directory.name.rpartition("-")[0])
-    for path in directory.parent.glob(f"{beside}-*/last.ckpt"):
+    for path in directory.parent.glob(f"{beside}-*/{LAST}"):
         try:
-            other = read_config(path.parent / "config.yaml")
+            other = read_config(path.parent / CONFIG)
             fewer = other.optimizer.steps < steps
             if fewer and _but_for_steps(other) == _but_for_steps(config):
                 found.append((int(saved_state(path)["global_step"]), path))

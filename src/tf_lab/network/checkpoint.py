@@ -20,7 +20,8 @@ from tf_lab.network.settings import NetworkConfig
 from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.documents import parse_json
 from tf_lab.support.files import atomic_path
-from tf_lab.support.headers import WEIGHTS, read_header
+from tf_lab.support.headers import read_header
+from tf_lab.support.layout import WEIGHTS
 from tf_lab.support.records import record
 
 log = logging.getLogger(__name__)

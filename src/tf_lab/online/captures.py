@@ -15,6 +15,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.support.layout import GROUNDTRUTH_MESH
 
 log = logging.getLogger(__name__)
 
@@ -81,5 +82,5 @@ def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> f
     from tf_lab.data.visibility import measure_visibility
     from tf_lab.meshes.files import read_mesh
 
-    mesh = read_mesh(groundtruth / "mesh_gt.ply")
+    mesh = read_mesh(groundtruth / GROUNDTRUTH_MESH)
     return measure_visibility(capture, keyframes, mesh.vertices, MAX_READING).median

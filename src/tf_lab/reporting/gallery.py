@@ -18,6 +18,7 @@ from tf_lab.reporting.results import Run
 from tf_lab.reporting.studies import Study
 from tf_lab.support.figures import write_figure
 from tf_lab.support.files import file_name
+from tf_lab.support.layout import GROUNDTRUTH_MESH, mesh_path
 from tf_lab.support.progress import progress_bar
 
 COLORS = 32  # meshes are of one colour: shades enough, and a small file
@@ -32,16 +33,12 @@ def scene_runs(study: Study, scene: str) -> dict[str, Run]:
         seed: {
             row: study.runs[row, seed]
             for row in [OURS, *study.rows]
-            if (row, seed) in study.runs and mesh_path(study.runs[row, seed], scene).exists()
+            if (row, seed) in study.runs
+            and mesh_path(study.runs[row, seed].directory, scene).exists()
         }
         for seed in study.seeds()
     }
     return max(by_seed.values(), key=len)  # of equals the lowest seed
-
-
-def mesh_path(run: Run, scene: str) -> Path:
-    """Where a run keeps the mesh of a test scene."""
-    return run.directory / "meshes" / f"{file_name(scene)}.ply"
 
 
 def draw_pictures(study: Study, folder: Path, size: tuple[int, int] = (400, 300)) -> int:
@@ -70,7 +67,7 @@ def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
 
     digest = run.makers[0].get("scenes", {}).get(scene)
     directory = open_source(run.config.data).directory(scene, digest)
-    path = directory / "groundtruth" / "mesh_gt.ply"
+    path = directory / "groundtruth" / GROUNDTRUTH_MESH
     return read_mesh(path) if path.exists() else None
 
 
@@ -100,7 +97,7 @@ def draw_scene(
 
 def compared(runs: dict[str, Run], scene: str, groundtruth: trimesh.Trimesh | None) -> Compared:
     """A scene's meshes in runs by row; arguments and errors as of `draw_scene`."""
-    meshes = {row: read_mesh(mesh_path(run, scene)) for row, run in runs.items()}
+    meshes = {row: read_mesh(mesh_path(run.directory, scene)) for row, run in runs.items()}
     scores = {row: run.scenes[scene] for row, run in runs.items()}
     fscores = {row: score["fscore"] for row, score in scores.items() if "fscore" in score}
     return Compared(scene, meshes, groundtruth, fscores)

@@ -12,7 +12,7 @@ from tf_lab.config.stored import portable_config
 from tf_lab.experiments.provenance import without_places
 from tf_lab.meshes.files import read_mesh
 from tf_lab.reporting.charts import rows_chart, views_chart
-from tf_lab.reporting.gallery import mesh_path, preview, scenes_of
+from tf_lab.reporting.gallery import preview, scenes_of
 from tf_lab.reporting.html import (
     chart,
     code,
@@ -37,6 +37,7 @@ from tf_lab.reporting.tables import (
     seed_table,
 )
 from tf_lab.support.files import atomic_path, file_name
+from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, mesh_path, picture_path
 
 PICTURE = 900  # pixels across
 
@@ -53,7 +54,7 @@ def write_pages(
         output: the report's folder, with the pictures of the test scenes.
         figures: PNG files of this study, each with its caption beside it.
     """
-    page = study_page(study, about, remarks, output / "pictures", figures)
+    page = study_page(study, about, remarks, output / PICTURES, figures)
     _write(output / "report.html", page)
     for run in study.runs.values():
         _write(output / "pages" / f"{run.directory.name}.html", run_page(run))
@@ -71,7 +72,7 @@ def study_page(
         scene, runs = next(iter(shown.items()))
         row, run = next(iter(runs.items()))
         caption = paragraph(f"{scene}, {row}, seed {run.seed}")
-        mesh = caption + mesh_view(read_mesh(mesh_path(run, scene)))
+        mesh = caption + mesh_view(read_mesh(mesh_path(run.directory, scene)))
     return page(
         f"Study {study.key}",
         paragraph(about),
@@ -97,8 +98,8 @@ def study_page(
 
 def run_page(run: Run) -> str:
     """All of a run: scores, pictures, a mesh, the command, settings, and where it was made."""
-    pictures = [run.directory / "pictures" / f"{file_name(scene)}.png" for scene in run.scenes]
-    meshes = [mesh_path(run, scene) for scene in run.scenes]
+    pictures = [picture_path(run.directory, scene) for scene in run.scenes]
+    meshes = [mesh_path(run.directory, scene) for scene in run.scenes]
     first = next((path for path in meshes if path.exists()), None)
     view = "" if first is None else paragraph(first.stem) + mesh_view(read_mesh(first))
     origin = without_places(run.makers[0])
@@ -109,8 +110,8 @@ def run_page(run: Run) -> str:
         section("A mesh", view),
         section("Test scenes", *(_preview(path) for path in pictures if path.exists())),
         section("The command that repeats it", code(str(origin.get("command", "unknown")))),
-        section("Settings", folded("config.yaml", _yaml(portable_config(run.config)))),
-        section("Where it was made", folded("run.json", json.dumps(origin, indent=2))),
+        section("Settings", folded(CONFIG, _yaml(portable_config(run.config)))),
+        section("Where it was made", folded(ORIGIN, json.dumps(origin, indent=2))),
     )
 
 

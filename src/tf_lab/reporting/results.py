@@ -22,6 +22,7 @@ from tf_lab.experiments.provenance import Origin, sessions_of, without_places
 from tf_lab.experiments.reuse import removal
 from tf_lab.support.documents import read_json
 from tf_lab.support.files import write_json
+from tf_lab.support.layout import CONFIG, ORIGIN, SCORES
 from tf_lab.support.records import read_record
 
 # What makes a run another row, or another repetition of one, of the same study; and which metrics
@@ -69,7 +70,7 @@ def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
     for folder in folders:
         if not folder.is_dir():
             raise TFLabError(f"{folder}: there is no such folder; {_what_to_do(folders)}")
-        for path in sorted(folder.rglob("metrics.json")):
+        for path in sorted(folder.rglob(SCORES)):
             if any(part.startswith(".") for part in path.relative_to(folder).parts):
                 continue  # half removed
             try:
@@ -107,12 +108,12 @@ def read_run(directory: Path) -> Run:
         TFLabError: one of them is missing or damaged, or of a version that had other settings.
     """
     try:
-        config = read_config(directory / "config.yaml")
+        config = read_config(directory / CONFIG)
     except TFLabError as error:
         raise TFLabError(f"{error}; {_anew(directory / 'config.yaml')}") from error
-    cure = _anew(directory / "metrics.json")
-    metrics = read_record(Metrics, directory / "metrics.json", cure)
-    origin = read_record(Origin, directory / "run.json", cure)
+    cure = _anew(directory / SCORES)
+    metrics = read_record(Metrics, directory / SCORES, cure)
+    origin = read_record(Origin, directory / ORIGIN, cure)
     trained, evaluated = training_identity(config), evaluation_identity(config)
     settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
     # which stereo there is, the row says with its inputs
@@ -131,7 +132,7 @@ def read_run(directory: Path) -> Run:
         _flat(settings),
         {scene: told_apart(scores, config.metrics) for scene, scores in metrics.scenes.items()},
         (origin, training, *sessions_of(training)),
-        (directory / "metrics.json").stat().st_mtime,
+        (directory / SCORES).stat().st_mtime,
         _view_sets(metrics),
     )
 
@@ -174,8 +175,8 @@ def keep_run(run: Run, folder: Path) -> Path:
     kept = folder / run.directory.name
     if kept.resolve() == run.directory.resolve():
         return kept
-    write_config(run.config, kept / "config.yaml", portable=True)
-    for name in ("run.json", "metrics.json"):
+    write_config(run.config, kept / CONFIG, portable=True)
+    for name in (ORIGIN, SCORES):
         write_json(
             kept / name,
             without_places(read_json(run.directory / name, _anew(run.directory / name))),

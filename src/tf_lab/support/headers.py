@@ -9,9 +9,8 @@ from safetensors import SafetensorError, safe_open
 
 from tf_lab.errors import TFLabError
 from tf_lab.support.documents import parse_json
+from tf_lab.support.layout import WEIGHTS
 from tf_lab.support.records import record
-
-WEIGHTS = "model.safetensors"  # of a finished training
 
 
 def read_header(path: Path) -> dict[str, str]:

@@ -19,6 +19,7 @@ from tf_lab.meshes.decimate import at_most
 from tf_lab.meshes.files import read_mesh
 from tf_lab.meshes.glb import glb_of, vertex_colors
 from tf_lab.support.files import atomic_directory, file_name
+from tf_lab.support.layout import mesh_path, picture_path
 from tf_lab.training.loggers import account, is_wandb
 
 FACES = 60_000  # of a logged mesh, where faces can be left out
@@ -102,13 +103,13 @@ def _to_tensorboard(run: Path, metrics: Metrics) -> None:
 
 
 def _picture(run: Path, scene: str) -> Path | None:
-    path = run / "pictures" / f"{file_name(scene)}.png"
+    path = picture_path(run, scene)
     return path if path.exists() else None
 
 
 def _mesh(run: Path, scene: str) -> trimesh.Trimesh | None:
     """A test scene's mesh, small enough to send; None if there is none, or it is empty."""
-    path = run / "meshes" / f"{file_name(scene)}.ply"
+    path = mesh_path(run, scene)
     mesh = read_mesh(path) if path.exists() else None
     return at_most(mesh, FACES) if mesh is not None and len(mesh.faces) else None
 

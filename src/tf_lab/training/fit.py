@@ -19,6 +19,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, remove_abandoned, telling_no_space
+from tf_lab.support.layout import CONFIG, LAST, ORIGIN
 from tf_lab.support.locks import LOCK, NOTE, directory_lock
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
@@ -26,8 +27,7 @@ from tf_lab.training.finite import Finite
 from tf_lab.training.objects import instantiated
 from tf_lab.training.state import read_state
 
-LAST = "last.ckpt"
-PLANS = ("config.yaml", "run.json", "hparams.yaml")  # files that say what is to be done
+PLANS = (CONFIG, ORIGIN, "hparams.yaml")  # files that say what is to be done
 IDENTITY = "identity"  # in a checkpoint: of what it was trained with
 
 
