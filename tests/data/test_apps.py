@@ -69,6 +69,25 @@ def test_stray_axes_and_further_columns(stray_folder: Path) -> None:
     assert capture.down == (0, -1, 0)
 
 
+def test_stray_cameras_of_frames(stray_folder: Path) -> None:
+    """Newer versions write them, for phones refocus."""
+    (fx, _, cx), (_, fy, cy), _ = FRAMES[0].K
+    wrong = "1.7, 3, 0, 0, 0, 0, 0, 0, 1, nan, 1, 1, 1"
+    lines = [
+        f"{HEADER}, fx, fy, cx, cy, distortion_center_x",
+        *(f"1.{i}, {i}, 0, 0, 0, 0, 0, 0, 1, {fx + i}, {fy - i}, {cx + 0.5}, {cy + 0.5}, 0"
+          for i in range(3)),
+        wrong,
+    ]  # fmt: skip
+    (stray_folder / "odometry.csv").write_text("\n".join(lines) + "\n")
+    capture = stray.read(stray_folder)
+    np.testing.assert_allclose(capture.K[:, 0, 0], [fx, fx + 1, fx + 2])
+    np.testing.assert_allclose(capture.K[:, 1, 1], [fy, fy - 1, fy - 2])
+    np.testing.assert_allclose(capture.K[0, :2, 2], [cx, cy])
+    assert len(capture.skipped) == 1
+    assert capture.skipped[0].startswith(f"line 5, {wrong[:30]!r}")
+
+
 def test_stray_depth_where_it_is_confident(stray_folder: Path) -> None:
     small_depth(stray_folder, "000000", [[0, 1], [2, 0]])
     small_depth(stray_folder, "000001", [[0, 0], [0, 0]])
@@ -248,6 +267,20 @@ def test_record3d_unzipped(record3d_folder: Path) -> None:
     for i in range(4):
         np.testing.assert_array_equal(capture.image(i), FRAMES[i].image)
         np.testing.assert_array_equal(capture.depth(i), FRAMES[i].depth)
+
+
+def test_record3d_depth_beside_its_pictures_is_no_picture(record3d_folder: Path) -> None:
+    (record3d_folder / "metadata.json").rename(record3d_folder / "metadata")
+    (record3d_folder / "rgb").rename(record3d_folder / "rgbd")
+    for i, frame in enumerate(FRAMES):
+        picture = record3d_folder / "rgbd" / f"{i}.png"
+        Image.open(picture).save(picture.with_suffix(".jpg"), quality=95)
+        Image.fromarray(np.round(frame.depth * 1000).astype(np.uint16)).save(picture)
+    capture = record3d.read(record3d_folder)
+    assert capture.frames == [str(i) for i in range(len(FRAMES))]
+    for i, frame in enumerate(FRAMES):
+        np.testing.assert_allclose(capture.depth(i), frame.depth, atol=0.0006)
+        assert np.abs(capture.image(i).astype(int) - frame.image).mean() < 5
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".depth"])

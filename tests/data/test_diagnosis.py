@@ -216,6 +216,27 @@ def test_a_quick_check_warns_in_a_line() -> None:
     assert "\n" not in line
 
 
+def test_a_quick_check_never_fails(tmp_path: Path) -> None:
+    """Depth in another unit, whose first map is damaged; a focal length as short as can be."""
+    module = LAYOUTS["plain"]
+    frames = [replace(frame, depth=frame.depth / 5) for frame in room()]
+    folder = module.write(tmp_path / "room", frames)
+    depth = sorted((folder / "depth").iterdir())[0]
+    depth.write_bytes(depth.read_bytes()[:50])
+    line = quick_warning(open_capture(folder, module.OPTIONS), module.OPTIONS)
+    assert line is not None
+    assert "depth_scale=200" in line
+    short = [
+        replace(frame, K=frame.K * [[0.055 * 160 / 130], [0.055 * 160 / 130], [1]])
+        for frame in room()
+    ]
+    for frame, true in zip(short, room(), strict=True):
+        frame.K[:2, 2] = true.K[:2, 2]
+    line = quick_warning(opened(short, DOWN), DOWN)
+    assert line is not None
+    assert "focal_scale" in line or "do not fit" in line
+
+
 def test_without_texture_nothing_is_guessed() -> None:
     grey = [replace(f, image=np.full_like(f.image, 128)) for f in room()]
     report = checked(INJECTIONS["inverted"].do(grey))

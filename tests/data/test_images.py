@@ -163,6 +163,13 @@ DEPTH_FILES: dict[str, Callable[[Path], None]] = {
 }
 
 
+@pytest.mark.parametrize("ending", ["png", "pgm", "tif"])
+def test_the_largest_of_16_bits_is_no_reading(tmp_path: Path, ending: str) -> None:
+    values = np.array([[0, 1000], [2500, 65535]], np.uint16)
+    Image.fromarray(values).save(tmp_path / f"a.{ending}")
+    np.testing.assert_array_equal(read_depth(tmp_path / f"a.{ending}"), [[0, 1], [2.5, 0]])
+
+
 @pytest.mark.parametrize("kind", list(DEPTH_FILES))
 def test_depth_of_every_kind(tmp_path: Path, kind: str) -> None:
     folder = write(tmp_path / "a")

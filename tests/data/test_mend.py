@@ -167,6 +167,28 @@ def test_turned_images(tmp_path: Path, turn: int, intrinsics: str) -> None:
     np.testing.assert_allclose(capture.depth(3), frames()[3].depth, atol=0.0011)
 
 
+@pytest.mark.parametrize("layout", ["transforms", "colmap_text", "polycam", "record3d"])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_the_size_that_intrinsics_are_of_is_counted_once(
+    tmp_path: Path, layout: str, factor: int
+) -> None:
+    """Of images made smaller since, where the layout says which size its intrinsics are of, too."""
+    module = LAYOUTS[layout]
+    folder = module.write(tmp_path / "room", frames())
+    height, width = frames()[0].image.shape[:2]
+    right = open_capture(folder, module.OPTIONS).K / [[2], [2], [1]]
+    for file in folder.rglob("*"):
+        if file.suffix in (".png", ".jpg") and "depth" not in str(file) and "conf" not in str(file):
+            with Image.open(file) as image:
+                small = image.resize((width // 2, height // 2))
+            small.save(file)
+    stated = (factor * width, factor * height)
+    told = replace(module.OPTIONS, intrinsics_size=stated)
+    without, found = (open_capture(folder, how).K for how in (module.OPTIONS, told))
+    np.testing.assert_allclose(without[:, :2, :2], right[:, :2, :2], rtol=1e-6)
+    np.testing.assert_allclose(found[:, 0, 0], right[:, 0, 0] / factor, rtol=1e-6)
+
+
 @pytest.mark.parametrize("shift", [2, -2])
 def test_poses_shifted_against_the_images(tmp_path: Path, shift: int) -> None:
     """Frame i was given the pose of frame i - shift; those at the end have none."""

@@ -18,6 +18,7 @@ from helpers.layouts.sens import JPEG, PNG, RAW, RAW_USHORT, ZLIB_USHORT, Stream
 from helpers.lenses import moved
 from tf_lab.data.readers import open_capture
 from tf_lab.data.readers.source import SourceCapture
+from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 
 COUNT = 4
@@ -375,6 +376,43 @@ def test_depth_is_registered_to_the_colour_camera(tmp_path: Path, name: str) -> 
     assert np.abs(raw - expected)[seen].mean() > 2 * np.abs(error).mean()
 
 
+def lying(K: np.ndarray, size: tuple[int, int], turn: int) -> np.ndarray:
+    """The intrinsics of images that are those of K once they are turned clockwise."""
+    (fx, _, cx), (_, fy, cy), _ = K
+    width, height = size
+    x, y = (cy, width - 1 - cx) if turn == 90 else (height - 1 - cy, cx)
+    return np.array([[fy, 0, x], [0, fx, y], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("turn", [90, 270])
+@pytest.mark.parametrize("name", list(RIGS))
+def test_a_rig_whose_images_lie_is_turned_as_a_whole(tmp_path: Path, name: str, turn: int) -> None:
+    """Both sensors were mounted lying; the poses are those of the upright depth camera."""
+    upright = opened(rig_stream(*RIGS[name]), tmp_path)
+    color_T_depth = np.linalg.inv(RIGS[name][0]) @ RIGS[name][1]
+    world_T_depth = WORLD_T_COLOR @ color_T_depth
+    # x right, y down of a lying camera are y, -x of the upright one, or -y, x
+    lying_T_upright = np.eye(4)
+    lying_T_upright[:2, :2] = [[0, 1], [-1, 0]] if turn == 90 else [[0, -1], [1, 0]]
+    stream = Stream(
+        lying(RIG_K, RIG_SIZE, turn), RIG_SIZE[::-1],
+        lying(RIG_DEPTH_K, RIG_DEPTH_SIZE, turn), RIG_DEPTH_SIZE[::-1],
+        depth_extrinsics=lying_T_upright @ color_T_depth @ lying_T_upright.T, depth_shift=20000.0,
+    )  # fmt: skip
+    depth = np.rot90(plane_depth(world_T_depth, RIG_DEPTH_K, RIG_DEPTH_SIZE), turn // 90)
+    stream.add(np.zeros((64, 48, 3), np.uint8), np.round(depth * 20000), world_T_depth)
+    path = stream.write(tmp_path / "lying.sens")
+    found = open_capture(path, ReadSettings(turn=turn))
+    assert found.size == RIG_SIZE
+    np.testing.assert_allclose(found.K, upright.K, atol=1e-4)
+    np.testing.assert_allclose(found.world_T_cam, upright.world_T_cam, atol=1e-6)
+    expected, depth = upright.depth(0), found.depth(0)
+    assert expected is not None and depth is not None
+    assert ((depth > 0) == (expected > 0)).mean() > 0.98
+    np.testing.assert_allclose(depth, expected, atol=0.04 * float(expected.max()))
+    assert np.abs(depth - expected).mean() < 1e-3
+
+
 def test_a_lost_frame_of_a_rig(tmp_path: Path) -> None:
     stream = rig_stream(*RIGS["both"])
     stream.add(np.zeros((48, 64, 3), np.uint8), np.zeros((24, 32)), np.full((4, 4), -np.inf))
@@ -406,6 +444,17 @@ def test_an_export_gives_what_its_stream_gives(tmp_path: Path) -> None:
     for i in range(COUNT):
         np.testing.assert_array_equal(export.image(i), stream.image(i))
         np.testing.assert_array_equal(export.depth(i), stream.depth(i))
+
+
+def test_depth_of_an_export_as_arrays(tmp_path: Path) -> None:
+    folder = write_export(tmp_path / "scene")
+    expected = [open_capture(folder).depth(i) for i in range(COUNT)]
+    for i in range(COUNT):
+        (folder / "depth" / f"{i}.png").unlink()
+        np.save(folder / "depth" / f"{i}.npy", depths()[i])
+    capture = open_capture(folder)
+    for i in range(COUNT):
+        np.testing.assert_array_equal(capture.depth(i), expected[i])
 
 
 def test_the_extrinsics_of_an_export(tmp_path: Path) -> None:

@@ -285,6 +285,21 @@ def test_associations(tmp_path: Path, depth_first: bool) -> None:
         assert capture.image(i)[0, 0, 0] == i
 
 
+@pytest.mark.parametrize("depth_first", [False, True])
+def test_associations_with_more_columns(tmp_path: Path, depth_first: bool) -> None:
+    """As they come of the benchmark's script, run a second time for the poses."""
+    folder = write(tmp_path / "a", [1.0, 2.0], [1.0, 2.0], [1.0, 2.0])
+    lines = []
+    for t in (1.0, 2.0):
+        pair = [f"{t:.6f} rgb/{t:.6f}.png", f"{t:.6f} depth/{t:.6f}.png"]
+        lines.append(
+            " ".join(pair[::-1] if depth_first else pair) + f" {t:.6f} 1.3 0.6 1.6 0 0 0 1"
+        )
+    capture = open_capture(paired(folder, lines))
+    assert capture.frames == ["1.000000", "2.000000"]
+    assert all(capture.depth(i) is not None for i in range(2))
+
+
 @pytest.mark.parametrize("line", ["1.0 rgb/1.png", "1.0 depth/1.png x rgb/1.png"])
 def test_a_bad_line_of_associations(tmp_path: Path, line: str) -> None:
     folder = paired(write(tmp_path / "a", [1.0], [1.0], [1.0]), [line])

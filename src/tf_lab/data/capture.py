@@ -165,7 +165,8 @@ def _raw_depth(path: Path) -> np.ndarray:
         else:
             with open_image(path) as image:
                 raw = np.asarray(image)
-                if image.format == "PNG" and raw.dtype.itemsize > 2:  # older Pillow's 16 bits
+                # 16 bits, which Pillow gives as more: of PGM, and in older versions of PNG
+                if image.format in ("PNG", "PPM") and raw.dtype.itemsize > 2:
                     raw = raw.astype(np.uint16)
     except TFLabError:
         raise

@@ -42,7 +42,7 @@ from tf_lab.support.tasks import run_tasks
 from tf_lab.support.text import read_lines
 
 logger = logging.getLogger(__name__)
-VERSION = 3  # of what is made of a capture; a reader that gives others raises it
+VERSION = 4  # of what is made of a capture; a reader that gives others raises it
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,9 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     try:
         loaded = trimesh.load(path, file_type="ply", process=False)
     except Exception as error:  # trimesh raises whatever the damage leads to
-        raise TFLabError(f"{path}: not a readable PLY mesh ({error}); write it again") from error
+        raise TFLabError(
+            f"{path}: not a readable PLY mesh ({error}); write it again, of triangles alone"
+        ) from error
     vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), np.float64)
     faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), np.int64)
     # trimesh takes an ASCII file that was cut short for a smaller mesh.

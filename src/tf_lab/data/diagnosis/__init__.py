@@ -6,6 +6,7 @@ import logging
 import shlex
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from tf_lab.data.capture import Capture
@@ -18,6 +19,7 @@ from tf_lab.data.diagnosis.sensors import compare_sensors
 from tf_lab.data.diagnosis.statistics import Track, describe
 from tf_lab.data.diagnosis.verdict import UNKNOWN, WRONG, Report, judge, too_poor, unread
 from tf_lab.data.reading import AS_STATED, ReadSettings
+from tf_lab.errors import TFLabError
 
 PAIRS, FEW = 60, 12  # of images: of a whole check, and of a quick one
 NARROW = 400  # pixels, for a quick one
@@ -72,7 +74,7 @@ def quick_warning(capture: Capture, settings: ReadSettings = AS_STATED) -> str |
         found = search(evidence, thorough=False)
         scale = find_scale(evidence, found.best)
         report = judge(evidence, found, scale, None, None)
-    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+    except (TFLabError, ArithmeticError, ValueError, np.linalg.LinAlgError, cv2.error) as error:
         logger.debug("no quick check of %s: %s", capture.name, error)
         return None
     if report.verdict != WRONG and not scale.setting:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -92,19 +93,20 @@ class Evidence:
         turn = (settings.turn - self.settings.turn) % 360
         width, height = self.capture.size
         size = (height, width) if turn % 180 else (width, height)
-        cameras: dict[Camera, np.ndarray] = {}
+        cameras: dict[tuple[Camera, Camera | None], np.ndarray] = {}
         found = []
         for number, pose in zip(numbers, self._poses(settings, numbers), strict=True):
-            camera = self.given.frames[number].camera
-            if camera not in cameras:
-                cameras[camera] = _intrinsics(camera, settings, size)
-            found.append((pose, cameras[camera]))
+            frame = self.given.frames[number]
+            key = frame.camera, frame.stated
+            if key not in cameras:
+                cameras[key] = _intrinsics(frame, settings, size)
+            found.append((pose, cameras[key]))
         return found
 
     def _poses(self, settings: ReadSettings, numbers: list[int]) -> list[np.ndarray]:
         """world_T_cam [4, 4] of the reader's frames, metres; the same for all intrinsics."""
         said = (settings.poses, settings.axes, settings.rotations, settings.quaternions)
-        key = (*said, settings.shift, settings.scale, *numbers)
+        key = (*said, settings.shift, settings.scale, settings.turn, *numbers)
         if key not in self._known_poses:
             poses = [pose.copy() for pose in mended_poses(self.given, settings, numbers)]
             for pose in poses:
@@ -199,12 +201,20 @@ class _Image:
         return self.capture.image(self.index)
 
 
-def _intrinsics(camera: Camera, settings: ReadSettings, size: tuple[int, int]) -> np.ndarray:
-    """K [3, 3] of the undistorted images of (width, height) ``size``."""
-    pinhole = camera.pinhole(camera.size)
-    if settings.turn:
-        pinhole = turned(pinhole, settings.turn)
-    return mended_camera(pinhole, settings).resized(size).K
+def _intrinsics(frame: SourceFrame, settings: ReadSettings, size: tuple[int, int]) -> np.ndarray:
+    """K [3, 3] of a frame's undistorted image of (width, height) ``size``."""
+    camera, stated = (
+        None if each is None else turned(pinhole_of(each), settings.turn)
+        for each in (frame.camera, frame.stated)
+    )
+    assert camera is not None
+    return mended_camera(camera, settings, stated).resized(size).K
+
+
+@lru_cache(maxsize=10_000)
+def pinhole_of(camera: Camera) -> Camera:
+    """The camera of its undistorted images, which many ways to read a capture ask for."""
+    return camera.pinhole(camera.size)
 
 
 def _cross(t: np.ndarray) -> np.ndarray:

@@ -78,7 +78,8 @@ class Album:
             return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
         factor = self._width / max(grey.shape[1], self._width)
         if factor < 1:
-            grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+            small = (self._width, max(1, round(factor * grey.shape[0])))
+            grey = cv2.resize(grey, small, interpolation=cv2.INTER_AREA)
         self.sharpness[index] = float(cv2.Laplacian(grey, cv2.CV_64F).var())
         self.brightness[index] = float(grey.mean())
         keypoints, descriptors = self._sift.detectAndCompute(grey, None)

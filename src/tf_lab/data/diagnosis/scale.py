@@ -5,6 +5,7 @@ Epipolar geometry does not change with the unit of the poses, so that it needs a
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,10 +98,13 @@ def _mend(evidence: Evidence, factor: float, measured: float, scale: float | Non
 
 def _depth_scale(evidence: Evidence) -> float | None:
     """Units per metre of the depth maps; None where their layout has no other."""
-    depth: Any = next((frame.depth for frame in evidence.given.frames if frame.depth), None)
-    if not hasattr(depth, "scale"):
-        return None
-    return usual_depth_scale(Path(str(depth))) if depth.scale is None else float(depth.scale)
+    depths: list[Any] = [frame.depth for frame in evidence.given.frames if frame.depth]
+    for depth in depths if depths and hasattr(depths[0], "scale") else []:
+        if depth.scale is not None:
+            return float(depth.scale)
+        with contextlib.suppress(TFLabError):  # one that cannot be read says nothing of the others
+            return usual_depth_scale(Path(str(depth)))
+    return None
 
 
 def _plausible(seen: float, scale: float | None) -> str:

@@ -23,6 +23,7 @@ from tf_lab.data.diagnosis.alternatives import (
 )
 from tf_lab.data.diagnosis.evidence import SMALL, Evidence
 from tf_lab.data.reading import ReadSettings
+from tf_lab.errors import TFLabError
 
 FOCAL_RANGE = (0.7, 1.4)
 # How many times smaller the errors must be, for a change that is one of many and for a small one.
@@ -249,8 +250,9 @@ def _best_focal(evidence: Evidence, now: Candidate) -> tuple[Candidate, tuple[fl
         return np.asarray(curves[:, np.isfinite(curves).all(0)])
 
     factors = np.geomspace(*FOCAL_RANGE, 25)
+    factors = factors[[_possible_focal(evidence, now, factor) for factor in factors]]
     curves = curves_of(factors)
-    if not curves.size:
+    if not curves.size or len(factors) < 3:
         return now, (1.0, *FOCAL_RANGE)
     draws = np.random.default_rng(0).integers(0, curves.shape[1], (DRAWS, curves.shape[1]))
     sums = curves[:, draws].mean(2)
@@ -258,6 +260,15 @@ def _best_focal(evidence: Evidence, now: Candidate) -> tuple[Candidate, tuple[fl
     near = _lowest(factors, curves.mean(1)) * np.geomspace(0.98, 1.02, 9)
     best = _lowest(near, curves_of(near).mean(1))
     return _candidate(evidence, focal(now.settings, best)), (best, float(low), float(high))
+
+
+def _possible_focal(evidence: Evidence, now: Candidate, factor: float) -> bool:
+    """Whether there are cameras of so many times the focal length: not of nearly half a turn."""
+    try:
+        evidence.geometry(focal(now.settings, 0.98 * factor).settings)
+    except TFLabError:
+        return False
+    return True
 
 
 def _lowest(factors: np.ndarray, curve: np.ndarray) -> float:

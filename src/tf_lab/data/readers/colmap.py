@@ -79,8 +79,8 @@ def read(directory: Path) -> SourceCapture:
     names = frame_names([PurePosixPath(name) for name, _, _, _ in found])
     sized = at_file_size([camera for _, camera, _, _ in found], [file for _, _, _, file in found])
     frames = [
-        SourceFrame(name, camera, pose, ColorFile(file))
-        for name, camera, (_, _, pose, file) in zip(names, sized, found, strict=True)
+        SourceFrame(name, camera, pose, ColorFile(file), stated=stated)
+        for name, camera, (_, stated, pose, file) in zip(names, sized, found, strict=True)
     ]
     return collect(directory, frames, skipped, metric=False, convention=CONVENTION)
 

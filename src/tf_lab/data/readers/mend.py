@@ -64,7 +64,7 @@ def mended_poses(given: Given, settings: ReadSettings, indices: Iterable[int]) -
         there = 0 <= later < len(given.frames)
         pose = given.frames[later].world_T_cam if there else np.full((4, 4), np.nan)
         if np.isfinite(pose).all():
-            pose = _decoded(pose, given.frames[later].color_T_depth, given.convention, settings)
+            pose = _decoded(pose, given.frames[later], given.convention, settings)
         found.append(pose)
     return found
 
@@ -81,10 +81,10 @@ def axes_matrix(name: str) -> np.ndarray:
 
 
 def _decoded(
-    pose: np.ndarray, color_T_depth: np.ndarray | None, native: Convention, settings: ReadSettings
+    pose: np.ndarray, frame: SourceFrame, native: Convention, settings: ReadSettings
 ) -> np.ndarray:
-    """A pose as a reader understood it, understood as the settings say."""
-    rig = np.eye(4) if color_T_depth is None else color_T_depth
+    """A frame's pose as a reader understood it, understood as the settings say."""
+    rig = np.eye(4) if frame.color_T_depth is None else frame.color_T_depth
     pose = pose @ rig @ _homogeneous(axes_matrix(native.axes))  # poses are the depth camera's
     written = np.linalg.inv(pose) if native.poses == "world_to_camera" else pose
     written = written.copy()
@@ -95,7 +95,24 @@ def _decoded(
     inverse = (settings.poses or native.poses) == "world_to_camera"
     pose = np.linalg.inv(written) if inverse else written
     axes = axes_matrix(settings.axes or native.axes)
+    rig = _turned_rig(frame, settings.turn, rig)
     return world_mirror(settings) @ pose @ _homogeneous(axes.T) @ np.linalg.inv(rig)
+
+
+def _depth_turns(frame: SourceFrame) -> bool:
+    """Whether depth was stored lying as colour was; if not, colour alone was turned."""
+    if frame.depth_camera is None:
+        return True
+    (w, h), (wide, high) = frame.camera.size, frame.depth_camera.size
+    return (w > h) == (wide > high)
+
+
+def _turned_rig(frame: SourceFrame, turn: int, rig: np.ndarray) -> np.ndarray:
+    """Where depth is beside colour [4, 4] when the images of both are turned clockwise."""
+    if not turn or frame.depth_camera is None or not _depth_turns(frame):
+        return rig
+    plane = _homogeneous(Rotation.from_euler("z", turn, degrees=True).as_matrix())
+    return plane @ rig @ plane.T
 
 
 def _homogeneous(rotation: np.ndarray) -> np.ndarray:
@@ -111,24 +128,40 @@ def _reordered(rotation: np.ndarray, order: str) -> np.ndarray:
 
 
 def _mended_frame(frame: SourceFrame, settings: ReadSettings) -> SourceFrame:
-    color, depth = frame.color, frame.depth
-    stored = frame.camera
+    color, depth, seen = frame.color, frame.depth, frame.depth_camera
+    stored, rig = frame.camera, frame.color_T_depth
     if depth is not None and settings.depth_scale is not None:
         depth = _in_units(depth, settings.depth_scale)
     if settings.turn:
         color, stored = Turned(color, settings.turn), turned(stored, settings.turn)
-        if depth is not None and frame.depth_camera is None:
+        if depth is not None and _depth_turns(frame):
             depth = Turned(depth, settings.turn)
-    camera = mended_camera(stored, settings)
+            rig = None if rig is None else _turned_rig(frame, settings.turn, rig)
+            seen = None if seen is None else turned(seen, settings.turn)
+    camera = mended_camera(stored, settings, as_stated(frame, settings))
     if settings.depth_camera == "as_given":
-        return replace(frame, camera=camera, color=color, depth=depth, depth_view=stored)
-    return replace(frame, camera=camera, color=color, depth=depth)
+        frame = replace(frame, depth_view=stored)
+    return replace(
+        frame, camera=camera, color=color, depth=depth, depth_camera=seen, color_T_depth=rig
+    )
 
 
-def mended_camera(camera: Camera, settings: ReadSettings) -> Camera:
-    """The camera with its size, focal length and principal point put right."""
+def as_stated(frame: SourceFrame, settings: ReadSettings) -> Camera | None:
+    """The camera as the source states it, turned as the images are; None: as the frame has it."""
+    return None if frame.stated is None else turned(frame.stated, settings.turn)
+
+
+def mended_camera(camera: Camera, settings: ReadSettings, stated: Camera | None = None) -> Camera:
+    """The camera with its size, focal length and principal point put right.
+
+    Args:
+        camera: of the images.
+        settings: which say what is wrong with it.
+        stated: before it was resized to the images'; None: it was not.
+    """
     if settings.intrinsics_size is not None:
-        camera = replace(camera, size=settings.intrinsics_size).resized(camera.size)
+        written = replace(stated or camera, size=settings.intrinsics_size)
+        camera = written.resized(camera.size)
     if settings.focal_scale != 1:
         factor = settings.focal_scale
         camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
@@ -144,7 +177,7 @@ def mended_camera(camera: Camera, settings: ReadSettings) -> Camera:
 def turned(camera: Camera, turn: int) -> Camera:
     """The camera of images turned clockwise, whose intrinsics may be of the turned ones already."""
     width, height = camera.size
-    if turn == 180:
+    if turn in (0, 180):
         return camera  # nearly the same, and nobody knows which is meant
     size = (height, width)
     here = np.hypot(camera.cx - (width - 1) / 2, camera.cy - (height - 1) / 2)

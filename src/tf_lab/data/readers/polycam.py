@@ -57,12 +57,12 @@ def read(directory: Path) -> SourceCapture:
             skipped.append(f"{color.stem}: {error}")
     cameras = at_file_size([camera for _, camera, _ in found], [color for color, _, _ in found])
     frames = []
-    for (color, _, pose), camera in zip(found, cameras, strict=True):
+    for (color, stated, pose), camera in zip(found, cameras, strict=True):
         depth = confident_depth(
             folder / "depth" / f"{color.stem}.png",
             folder / "confidence" / f"{color.stem}.png",
         )
-        frames.append(SourceFrame(color.stem, camera, pose, ColorFile(color), depth))
+        frames.append(SourceFrame(color.stem, camera, pose, ColorFile(color), depth, stated=stated))
     return collect(directory, frames, skipped, DOWN, convention=CONVENTION)
 
 

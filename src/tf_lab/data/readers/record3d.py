@@ -83,8 +83,11 @@ def read(directory: Path) -> SourceCapture:
     file, (colors, depths) = _metadata(directory), _folders(directory)
     document = read_document(file, CURE)
     found, skipped = [], []
-    for color in image_files(colors) if colors.is_dir() else []:
-        if not color.stem.isdecimal():
+    images = image_files(colors) if colors.is_dir() else []
+    pictures = {file.stem for file in images if file.suffix.lower() != ".png"}
+    for color in images:
+        is_depth = colors == depths and color.suffix.lower() == ".png" and color.stem in pictures
+        if not color.stem.isdecimal() or is_depth:
             continue
         try:
             found.append((color, *_frame(document, int(color.stem))))
@@ -92,8 +95,15 @@ def read(directory: Path) -> SourceCapture:
             skipped.append(f"{color.stem[:40]}: {error}")
     cameras = at_file_size([camera for _, camera, _ in found], [color for color, _, _ in found])
     frames = [
-        SourceFrame(color.stem, camera, pose, ColorFile(color), _depth(document, depths, color))
-        for (color, _, pose), camera in zip(found, cameras, strict=True)
+        SourceFrame(
+            color.stem,
+            camera,
+            pose,
+            ColorFile(color),
+            _depth(document, depths, color),
+            stated=stated,
+        )
+        for (color, stated, pose), camera in zip(found, cameras, strict=True)
     ]
     files = sorted(depths.iterdir()) if depths.is_dir() else []
     compressed = [file for file in files if file.suffix in (".exr", *BARE)]

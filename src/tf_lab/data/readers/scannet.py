@@ -35,6 +35,7 @@ from tf_lab.data.readers.source import (
 )
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import is_valid_pose
+from tf_lab.support.arrays import read_array
 
 NAME = "scannet"
 LAYOUT = "SCENE.sens, or color/, pose/, intrinsic/intrinsic_color.txt"
@@ -142,6 +143,10 @@ def _intrinsics(directory: Path, camera: str) -> Path:
 def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:
     path = _intrinsics(directory, camera)
     K = read_pose(path, CURE)
+    arrays = [image for image in images if image.suffix == ".npy"]
+    if arrays:
+        height, width, *_ = read_array(arrays[0], "write it again").shape
+        return camera_of_matrix(K, (width, height), str(path))
     return camera_of_matrix(K, image_size(images, (K[0, 2], K[1, 2])), str(path))
 
 

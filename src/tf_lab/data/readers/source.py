@@ -76,6 +76,7 @@ class SourceFrame:
         depth_camera: None: depth sees what ``depth_view`` does, at its own resolution.
         color_T_depth: [4, 4] from the depth camera to the colour camera; None: at one place.
         depth_view: None: ``camera``.
+        stated: the camera that the source states, of images of another size; None: ``camera``.
     """
 
     name: str
@@ -86,6 +87,7 @@ class SourceFrame:
     depth_camera: Camera | None = None
     color_T_depth: np.ndarray | None = None
     depth_view: Camera | None = None
+    stated: Camera | None = None
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@
     rgb.mp4                 the camera's images as the sensor has them (lying)
     camera_matrix.csv       3x3 of these images, pixels
     odometry.csv            "timestamp, frame, x, y, z, qx, qy, qz, qw" a line, under a line of
-                            these names: camera to world, metres
+                            these names: camera to world, metres; newer versions add "fx, fy, cx,
+                            cy" of the frame, which go before camera_matrix.csv: phones refocus
     depth/000000.png        or .npy, by the number of the frame: millimetres (optional)
     confidence/000000.png   0 low, 1 medium, 2 high (optional)
 
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tf_lab.data.lens import Camera
 from tf_lab.data.readers.apps import DOWN, arkit_camera, confident_depth
 from tf_lab.data.readers.frames_of_video import Video, VideoFrame
 from tf_lab.data.readers.parsing import pose_of_quaternion, read_intrinsics
@@ -32,6 +34,7 @@ NAME = "stray_scanner"
 LAYOUT = "odometry.csv, camera_matrix.csv, rgb.mp4"
 CONVENTION = Convention(quaternions="xyzw")
 COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+INTRINSICS = ("fx", "fy", "cx", "cy")
 MAX_FRAME = 10**7
 
 
@@ -53,21 +56,26 @@ def read(directory: Path) -> SourceCapture:
         camera = arkit_camera(video.size, given.fx, given.fy, given.cx, given.cy)
     except ValueError as error:
         raise TFLabError(f"{file}: {error}") from error
-    poses, skipped = _poses(directory / "odometry.csv")
-    count = video.count(1 + max(poses, default=-1))
-    skipped += [f"{index:06d}: not one of the {count} images" for index in poses if index >= count]
+    found, skipped = _odometry(directory / "odometry.csv", video.size)
+    count = video.count(1 + max(found, default=-1))
+    skipped += [f"{index:06d}: not one of the {count} images" for index in found if index >= count]
     frames = [
         SourceFrame(
-            f"{index:06d}", camera, pose, VideoFrame(video, index), _depth(directory, index)
+            f"{index:06d}", own or camera, pose, VideoFrame(video, index), _depth(directory, index)
         )
-        for index, pose in sorted(poses.items())
+        for index, (pose, own) in sorted(found.items())
         if index < count
     ]
     return collect(directory, frames, skipped, DOWN, convention=CONVENTION)
 
 
-def _poses(file: Path) -> tuple[dict[int, np.ndarray], list[str]]:
-    """world_T_cam [4, 4] by the number of the frame, and what is wrong with the other lines."""
+def _odometry(
+    file: Path, size: tuple[int, int]
+) -> tuple[dict[int, tuple[np.ndarray, Camera | None]], list[str]]:
+    """world_T_cam [4, 4] and camera by the number of the frame, and what is wrong with other lines.
+
+    The camera is None where the file has no intrinsics of frames.
+    """
     cure = f"its first line names the columns: timestamp, {', '.join(COLUMNS)}"
     lines = read_lines(file, cure)
     rows = list(
@@ -76,17 +84,21 @@ def _poses(file: Path) -> tuple[dict[int, np.ndarray], list[str]]:
     names = [name.strip() for name in rows[0]] if rows else []
     if missing := [name for name in COLUMNS if name not in names]:
         raise TFLabError(f"{file}: no column {missing[0]}; {cure}")
-    poses, skipped = {}, []
+    own = all(name in names for name in INTRINSICS)
+    found, skipped = {}, []
     for (number, line), row in zip(lines[1:], rows[1:], strict=False):
         try:
             values = dict(zip(names, row, strict=False))
             frame, x, y, z, qx, qy, qz, qw = (float(values[name]) for name in COLUMNS)
             if not 0 <= frame < MAX_FRAME:
                 raise ValueError(f"{values['frame'][:20]!r} is no number of a frame")
-            poses[int(frame)] = pose_of_quaternion((qw, qx, qy, qz), (x, y, z))
-        except (KeyError, ValueError) as error:
+            pose, camera = pose_of_quaternion((qw, qx, qy, qz), (x, y, z)), None
+            if own:
+                camera = arkit_camera(size, *(float(values[name]) for name in INTRINSICS))
+            found[int(frame)] = pose, camera
+        except (KeyError, ValueError, TFLabError) as error:
             skipped.append(f"line {number}, {line[:30]!r}: {error}")
-    return poses, skipped
+    return found, skipped
 
 
 def _depth(directory: Path, index: int) -> Pixels | None:

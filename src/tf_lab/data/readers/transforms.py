@@ -108,8 +108,10 @@ def read(path: Path) -> SourceCapture:
     )
     depths = _depths(folder, [entry for entry, _, _ in posed])
     frames = [
-        SourceFrame(name, camera, pose, ColorFile(entry.color), depth)
-        for name, camera, depth, (entry, pose, _) in zip(names, cameras, depths, posed, strict=True)
+        SourceFrame(name, camera, pose, ColorFile(entry.color), depth, stated=stated)
+        for name, camera, depth, (entry, pose, stated) in zip(
+            names, cameras, depths, posed, strict=True
+        )
     ]
     return collect(folder, frames, skipped, convention=CONVENTION)
 

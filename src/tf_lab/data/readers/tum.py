@@ -109,6 +109,7 @@ def _images(directory: Path) -> Iterator[tuple[float, str, str | None]]:
     if not (directory / "rgb.txt").is_file() and (directory / ASSOCIATIONS).is_file():
         pairs = read_timeline(directory / ASSOCIATIONS, "file timestamp file")
         for time, (first, other_time, second) in zip(pairs.times, pairs.values, strict=True):
+            second = second.split()[0]  # whatever follows, such as a pose
             if "depth" in first and "depth" not in second:
                 yield _seconds(other_time, directory), second, first
             else:
