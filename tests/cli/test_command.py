@@ -24,6 +24,17 @@ def test_what_cannot_be_printed_ends_nothing(
     )
 
 
+@pytest.mark.parametrize(("given", "expected"), [("", None), ("there", "there")])
+def test_an_empty_cache_is_none(
+    given: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else data sets would be rendered into the current folder."""
+    monkeypatch.setattr(os, "environ", {"TF_LAB_CACHE": given})
+    monkeypatch.setattr("tf_lab.cli.run.run_command", lambda *_: None)
+    command("train", "About.", "nowhere:run")()
+    assert os.environ.get("TF_LAB_CACHE") == expected
+
+
 @pytest.mark.parametrize(
     ("given", "expected"),
     [({}, "1000"), ({"GOMP_SPINCOUNT": "5"}, "5"), ({"OMP_WAIT_POLICY": "ACTIVE"}, None)],

@@ -30,6 +30,16 @@ def published(box_scene: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_jobs_of_a_sweep_write_a_file_each(
+    published: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(published)
+    given = ("predictions=predictions", "groundtruth=groundtruth", "output=m.json")
+    result = call("evaluate", "-m", *given, "seed=0,1")
+    assert result.status == 0, result.err
+    assert sorted(path.name for path in published.glob("m*.json")) == ["m-0.json", "m-1.json"]
+
+
 def test_by_a_process_on_the_published_layout(published: Path) -> None:
     result = start(
         *("evaluate", "predictions=predictions", "groundtruth=groundtruth", "output=new/m.json"),

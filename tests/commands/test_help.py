@@ -80,6 +80,37 @@ def test_the_values_are_those_of_the_command_line() -> None:
     assert re.search(rf"^  model.width={config.model.width} ", out, re.M)
 
 
+def test_help_of_several_jobs_is_that_of_what_they_share() -> None:
+    result = call("train", "-m", "views=4,8", "select=rnd,attn", "seed=7", "--help")
+    assert (result.status, result.err) == (0, "")
+    assert re.search(r"^  seed=7 ", result.out, re.M)
+    assert re.search(r"^  views=16 ", result.out, re.M)
+
+
+@pytest.mark.parametrize("options", [("-m", "--cfg=job"), ("--run", "-m"), ("--info", "-m")])
+def test_options_that_exclude_each_other(options: tuple[str, ...]) -> None:
+    result = call("train", *options, "views=4,8")
+    assert result.status == 2
+    assert re.fullmatch(r"error: --\w+ and --\w+: one of them at a time; .*\n", result.err)
+
+
+def test_a_users_own_choices(tmp_path: Path) -> None:
+    """They are shown, and a wrong word beside them is told as ever."""
+    own = tmp_path / "own configs" / "fusion"
+    own.mkdir(parents=True)
+    (own / "mine.yaml").write_text("# Mine.\ndefaults: [avg]\n")
+    given = ("--config-dir", str(own.parent), "fusion=mine")
+    result = call("train", *given, "--help")
+    assert (result.status, result.err) == (0, "")
+    assert "* fusion=mine" in result.out
+    assert re.search(r"^  fusion.strategy=avg", result.out, re.M)
+    result = call("train", *given, "vews=4")
+    assert result.status == 2
+    assert result.err.startswith(
+        "error: vews: no such setting of tf_lab.train (did you mean views?)"
+    )
+
+
 def test_what_a_command_does_not_read_is_neither_shown_nor_taken() -> None:
     assert "optimizer." not in call("pretrain", "--help").out
     result = call("pretrain", "optimizer.steps=3")

@@ -41,6 +41,26 @@ def test_a_run_is_seen_as_it_was_evaluated(tmp_path: Path, box_scene: Path) -> N
         of_run(replace(asked, scene="nowhere"), run)
 
 
+def test_a_runs_checkpoint_is_found_from_elsewhere(
+    tmp_path: Path, box_scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is kept as the training was told its folder: by default from where that was called."""
+    monkeypatch.chdir(tmp_path)
+    run = write_run(Path("outputs"), f"data.root={tmp_path}", 0, [0.5])
+    checkpoint = Path("outputs/trainings/tiny-seed0-abc/model.safetensors")
+    checkpoint.parent.mkdir(parents=True)
+    checkpoint.touch()
+    scene = open_source(read_run(run).config.data).directory("room_2000000", None)
+    scene.parent.mkdir(parents=True)
+    scene.symlink_to(box_scene)
+    asked = compose_config("view")
+    assert of_run(asked, run)[0].checkpoint == str(checkpoint)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    found, _ = of_run(asked, tmp_path / run)
+    assert found.checkpoint == str(tmp_path / checkpoint)
+
+
 def test_runs_are_seen_side_by_side(
     tmp_path: Path, box_scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

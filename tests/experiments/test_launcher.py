@@ -1,6 +1,8 @@
 """Sweeps: the table that ends one, how its jobs ended, and launchers that cannot work here."""
 
+import json
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -92,3 +94,52 @@ def test_an_interrupted_sweep_ends_its_jobs_and_starts_no_more(
     assert terminated.is_set()
     assert sorted(started)[:2] == [0, 1]
     assert len(started) < 5
+
+
+def records(folder: Path, *jobs: tuple[int, str]) -> None:
+    """The records of jobs, in folders of any depth."""
+    for number, subdir in jobs:
+        path = folder / subdir / launcher.RECORD
+        path.parent.mkdir(parents=True, exist_ok=True)
+        record = {"job": number, "row": f"Row {number}", "seed": 0, "fscore": 0.5, "log": "x"}
+        path.write_text(json.dumps(record | ({"failed": "why"} if number == 9 else {})))
+
+
+def test_the_table_is_of_this_sweep_wherever_its_jobs_lie(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}})
+    records(tmp_path, (9, "1"), (0, "0"))  # an earlier sweep's in the same folder
+    table = launcher.JobTable()
+    table.on_multirun_start(config)
+    time.sleep(0.01)
+    records(tmp_path, (0, "0"), (1, "views=4/seed=0"))
+    table.on_multirun_end(config)  # none of this one failed
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert [line.split()[0] for line in lines] == ["job", "0", "1"]
+    table.on_multirun_start(config)
+    records(tmp_path, (9, "new/9"))
+    with pytest.raises(SystemExit):
+        table.on_multirun_end(config)
+
+
+def test_a_job_is_told_nothing_of_the_sweeps_folders() -> None:
+    """Their names are made of what differs from job to job, which Hydra's grammar cannot read."""
+    hydra = OmegaConf.create(
+        {
+            "job": {"override_dirname": "a=1,b=2"},
+            "runtime": {"config_sources": []},
+            "overrides": {
+                "hydra": [
+                    "hydra.mode=MULTIRUN",
+                    "hydra.sweep.subdir=${hydra.job.override_dirname}",
+                    "hydra.verbose=${oc.env:NO_SUCH,true}",
+                ],
+                "task": ["views=4", "data.root=${oc.env:HOME}"],
+            },
+        }
+    )
+    assert launcher.single_run(hydra) == [
+        "hydra.verbose=${oc.env:NO_SUCH,true}",
+        *("views=4", "data.root=${oc.env:HOME}", JOB),
+    ]

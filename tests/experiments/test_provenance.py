@@ -1,7 +1,9 @@
 """Which code made a result: known by its content, as far as results depend on it."""
 
+import re
 import shlex
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -62,3 +64,14 @@ def test_the_record_names_commit_and_code() -> None:
     record = provenance.provenance()
     assert record["code"] == provenance.code_version()
     assert record["commit"] == provenance.commit()
+
+
+def test_of_another_repository_no_commit_is_told(package: Path) -> None:
+    """Where tf_lab is installed within it."""
+    git = ["git", "-c", "user.name=a", "-c", "user.email=b", "-C", str(package.parent)]
+    subprocess.run(["git", "init", "-q", package.parent], check=True)
+    subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "theirs"], check=True)
+    assert provenance.commit.__wrapped__() == "unknown"
+    subprocess.run([*git, "add", "tf_lab/__init__.py"], check=True)
+    subprocess.run([*git, "commit", "-q", "-m", "ours"], check=True)
+    assert re.fullmatch(r"[0-9a-f]{40}", provenance.commit.__wrapped__())

@@ -15,6 +15,7 @@ from helpers.browser import browser
 from helpers.made_up_runs import write_run
 from tf_lab.reporting.pages import run_page, study_page, write_pages
 from tf_lab.reporting.studies import Study, open_study
+from tf_lab.support.layout import mesh_path
 
 ROOM = "room_2000000"
 
@@ -106,6 +107,18 @@ def test_a_run(study: Study) -> None:
 
 def test_a_run_without_meshes_has_no_view(study: Study) -> None:
     assert "<canvas" not in run_page(study.runs["Ours: 4 images", 0])
+
+
+def test_a_damaged_mesh_costs_its_view_only(study: Study) -> None:
+    path = mesh_path(study.runs["Ours", 0].directory, ROOM)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:300])
+    try:
+        for text in (run_page(study.runs["Ours", 0]), study_page(study, "", [], Path("nowhere"))):
+            assert "<canvas" not in text
+            assert any("not a readable PLY mesh" in cell for cell in Reader(text).cells)
+    finally:
+        path.write_bytes(whole)
 
 
 def test_the_mesh_in_the_page(study: Study) -> None:

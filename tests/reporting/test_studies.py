@@ -119,6 +119,16 @@ def test_of_tests_of_two_networks_in_one_row_the_newest_networks_count(tmp_path:
     assert "seed 1" in two and "does not count" in two
 
 
+def test_a_network_that_is_tested_again_counts_again(tmp_path: Path) -> None:
+    """Another was tested in between; nothing of the newest test is left out."""
+    for at, init in enumerate(("aaaa", "bbbb", "aaaa")):
+        overrides = f"optimizer.steps=0 content.init={init}"
+        write_run(tmp_path / str(at), overrides, 0, [0.5 + 0.1 * at], written=1e9 + at)
+    study, remarks = open_study([tmp_path])
+    np.testing.assert_allclose(study.scores("Ours"), [[0.7]])
+    assert all("counts, the older" in remark for remark in remarks)
+
+
 def test_each_seed_may_test_a_network_of_its_own(tmp_path: Path) -> None:
     """As of a study's trainings on other scenes."""
     for seed in range(2):

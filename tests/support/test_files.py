@@ -1,14 +1,18 @@
 """Half-written files and directories never take the place of whole ones."""
 
 import json
+import os
 import threading
 from pathlib import Path
 
 import pytest
+from safetensors import SafetensorError
 
+from tf_lab.errors import TFLabError
 from tf_lab.support.files import (
     atomic_directory,
     atomic_path,
+    check_file,
     remove_directory,
     write_json,
 )
@@ -31,6 +35,36 @@ def test_path_appears_only_when_the_block_ends(tmp_path: Path) -> None:
     assert target.read_text() == "whole"
     assert names(target.parent) == ["mesh.ply"]
     assert target.stat().st_mode & 0o777 == 0o644
+
+
+def test_what_a_link_leads_to_is_replaced(tmp_path: Path) -> None:
+    target, link = tmp_path / "far" / "scores.json", tmp_path / "link.json"
+    target.parent.mkdir()
+    link.symlink_to(target)
+    write_json(link, [1])
+    assert link.is_symlink()
+    assert json.loads(target.read_text()) == [1]
+
+
+def test_devices_and_pipes_are_no_files_to_replace(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, Path("/dev/null")):
+        with pytest.raises(TFLabError, match="is a device or pipe; give the name of a file"):
+            check_file(path)
+    check_file(tmp_path / "new" / "file.json")
+
+
+def test_a_full_disk_as_rust_tells_it(tmp_path: Path) -> None:
+    """Its error has no number but in its text, and what was half written is gone by then."""
+    with (
+        pytest.raises(TFLabError, match="there is no space for it"),
+        atomic_path(tmp_path / "weights") as temporary,
+    ):
+        raise SafetensorError("I/O error: No space left on device (os error 28)")
+    with pytest.raises(SafetensorError), atomic_path(tmp_path / "weights") as temporary:
+        temporary.write_text("half")
+        raise SafetensorError("I/O error: something else (os error 5)")
 
 
 def test_an_error_leaves_no_file(tmp_path: Path) -> None:
@@ -115,3 +149,13 @@ def test_a_removed_directory_is_gone_at_once(tmp_path: Path) -> None:
     (tmp_path / "run" / "metrics.json").write_text("{}")
     remove_directory(tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_linked_directory_goes_with_its_link(tmp_path: Path) -> None:
+    far, link = tmp_path / "far" / "training", tmp_path / "trainings" / "training"
+    for path in (far, link.parent):
+        path.mkdir(parents=True)
+    (far / "weights").write_text("many")
+    link.symlink_to(far)
+    remove_directory(link)
+    assert names(link.parent) == names(far.parent) == []

@@ -13,6 +13,7 @@ from tf_lab.support.stops import stoppable
 # sleep, unless told otherwise before torch is loaded: on cores that have other work, such as the
 # browser that shows the page, waiting longer takes from what is waited for.
 WAITING = ("GOMP_SPINCOUNT", "1000")
+CACHE = "TF_LAB_CACHE"
 AGAIN = "what it wrote is whole, the same command starts again"
 
 
@@ -42,6 +43,8 @@ def command(
 
     def main() -> None:
         print_anything()
+        if os.environ.get(CACHE) == "":  # which means none
+            del os.environ[CACHE]
         if "OMP_WAIT_POLICY" not in os.environ:
             os.environ.setdefault(*WAITING)
         with stoppable(keeps):

@@ -10,6 +10,8 @@ import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
@@ -24,7 +26,12 @@ More in README.md and, on data, in docs/data.md."""
 
 
 def help_text(
-    conf: Path, name: str, about: str, overrides: Sequence[str] = (), unused: Sequence[str] = ()
+    conf: Path,
+    name: str,
+    about: str,
+    overrides: Sequence[str] = (),
+    unused: Sequence[str] = (),
+    own: str | None = None,
 ) -> str:
     """What a command does, its choices, and its settings with value and comment.
 
@@ -34,18 +41,25 @@ def help_text(
         about: what it does and how it is called.
         overrides: given beside ``--help``: they are in the values shown.
         unused: settings (or groups of them) that the command does not read.
+        own: the user's own directory of configs.
     """
     with initialize_config_dir(str(conf), version_base="1.3"):
-        cfg = compose(name, list(overrides), return_hydra_config=True)
+        given = [*one_job(overrides), *also(own)]
+        cfg = compose(name, given, return_hydra_config=True)
         loader = GlobalHydra.instance().config_loader()
         groups = reversed(cfg.hydra.runtime.choices.items())  # in the order of the config
         picked = {group: [option] for group, option in groups if not group.startswith("hydra/")}
         if "metrics" in cfg:  # of which there may be several, or none
             picked["metrics"] = list(cfg.metrics)
         shown = [group for group in picked if group not in unused]
-        options = [(group, o) for group in shown for o in loader.get_group_options(group)]
+        options = [
+            (group, option)
+            for group in shown
+            for option in loader.get_group_options(group, config_name=name, overrides=given)
+        ]
+    places = [conf] if own is None else [Path(own), conf]
     choices = [
-        (f"{'*' if o in picked[g] else ' '} {g}={o}", _summary(conf, g, o)) for g, o in options
+        (f"{'*' if o in picked[g] else ' '} {g}={o}", _summary(places, g, o)) for g, o in options
     ]
     meanings = {key: field.metadata.get("about", "") for key, field in settings_of(cfg)}
     with open_dict(cfg):
@@ -65,15 +79,30 @@ def help_text(
     return "\n\n".join([*parts, "\n".join([SETTINGS, *_columns(settings)]), MORE])
 
 
+def also(own: str | None) -> list[str]:
+    """The override by which Hydra's compose looks into a user's own directory of configs, too."""
+    if own is None:
+        return []
+    place = QuotedString(f"file://{Path(own).absolute()}", Quote.single).with_quotes()
+    return [f"hydra.searchpath=[{place}]"]
+
+
+def one_job(overrides: Sequence[str]) -> list[str]:
+    """Overrides without those that make several jobs, in which settings differ."""
+    parser = OverridesParser.create()
+    return [word for word in overrides if not parser.parse_override(word).is_sweep_override()]
+
+
 def is_within(key: str, groups: Sequence[str]) -> bool:
     """Whether a setting is one of, or in one of, these."""
     return any(key == group or key.startswith(f"{group}.") for group in groups)
 
 
-def _summary(conf: Path, group: str, option: str) -> str:
+def _summary(places: Sequence[Path], group: str, option: str) -> str:
     """What a choice is: the first comment of its file, or the docstring of its settings."""
-    path = conf / group / f"{option}.yaml"
-    if path.is_file():
+    files = (place / group / f"{option}.yaml" for place in places)
+    path = next((file for file in files if file.is_file()), None)
+    if path is not None:
         lines = [
             line
             for line in path.read_text(encoding="utf-8").splitlines()

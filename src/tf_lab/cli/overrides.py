@@ -19,7 +19,7 @@ from hydra.errors import MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
-from tf_lab.cli.help import FOUND_OUT, is_within
+from tf_lab.cli.help import FOUND_OUT, also, is_within
 from tf_lab.config.schema import PARTS
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
@@ -98,7 +98,13 @@ def _wanted(error: BaseException | None) -> str:
     return next((wanted for name, wanted in _WANTED.items() if name in text), f"another: {text}")
 
 
-def explain(error: Exception, conf: Path, name: str, overrides: Sequence[str] = ()) -> str:
+def explain(
+    error: Exception,
+    conf: Path,
+    name: str,
+    overrides: Sequence[str] = (),
+    own: str | None = None,
+) -> str:
     """An error of Hydra in one line: what is wrong, and what there is.
 
     Args:
@@ -106,9 +112,12 @@ def explain(error: Exception, conf: Path, name: str, overrides: Sequence[str] = 
         conf: the directory of the configs.
         name: of the command and its config.
         overrides: of the command line.
+        own: the user's own directory of configs.
     """
     chosen = _choices(overrides, conf)
-    more = f"`{shlex.join(['python', '-m', f'tf_lab.{name}', *chosen])} --help` lists all"
+    options = [] if own is None else [f"--config-dir={own}"]
+    command = shlex.join(["python", "-m", f"tf_lab.{name}", *options, *chosen])
+    more = f"`{command} --help` lists all"
     text = str(error) or str(error.__cause__)
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
         group, _, choice = error.missing_cfg_file.rpartition("/")
@@ -128,7 +137,8 @@ def explain(error: Exception, conf: Path, name: str, overrides: Sequence[str] = 
         return f"{where}: must be {_wanted(cause)}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown.group(1)
-        return f"{key}: no such setting of tf_lab.{name}{_nearest(key, conf, name, chosen)}; {more}"
+        meant = _nearest(key, conf, name, [*chosen, *also(own)])
+        return f"{key}: no such setting of tf_lab.{name}{meant}; {more}"
     if several := re.match(r"Ambiguous value for argument '(.+)'\n", text):
         key, _, values = several.group(1).partition("=")
         whole = shlex.quote(f"{key}=[{values}]")

@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn
 
@@ -63,13 +64,15 @@ def run_command(name: str, about: str, target: str, unused: Sequence[str], jobs:
         register()
         given = _command_line(CONFIGS[name])
         if given.help:
-            print(help_text(conf, name, about, given.overrides, unused))
+            own = given.config_dir
+            print(help_text(conf, name, about, given.overrides, unused, own))
         else:
             overrides.check_groups(given.overrides, conf)
             check_launcher(given)
             hydra.main(version_base="1.3", config_path=str(conf), config_name=name)(composed)()
     except (HydraException, OmegaConfBaseException, TFLabError) as error:
-        _tell(overrides.explain(error, conf, name, given.overrides))
+        own = getattr(given, "config_dir", None)
+        _tell(overrides.explain(error, conf, name, given.overrides, own))
         sys.exit(2)
     except BrokenPipeError:  # whoever reads has seen enough
         os._exit(1)
@@ -91,6 +94,11 @@ def _command_line(schema: type) -> argparse.Namespace:
 
     parser.error = error  # type: ignore[method-assign]
     given = parser.parse_intermixed_args()
+    asked = [f"--{name}" for name in ("run", "multirun", "cfg", "info") if getattr(given, name)]
+    if len(asked) > 1 and not given.help:
+        error(f"{' and '.join(asked)}: one of them at a time")
+    if given.experimental_rerun is not None and not Path(given.experimental_rerun).is_file():
+        error(f"--experimental-rerun {given.experimental_rerun}: no such file")
     texts = text_settings.Texts.of(schema)
     quoted = text_settings.quote_overrides(given.overrides, texts, overrides.is_sweep(given))
     options = [word for word in sys.argv[1:] if word not in given.overrides]

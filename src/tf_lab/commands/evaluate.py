@@ -9,6 +9,7 @@ from tf_lab.config.schema import EvaluateConfig
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate, scene_names
 from tf_lab.evaluation.scores import format_table
+from tf_lab.experiments.launcher import of_this_job
 from tf_lab.support.files import check_file, write_json
 from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.progress import tracked
@@ -18,7 +19,7 @@ from tf_lab.support.words import counted
 def run(config: EvaluateConfig) -> None:
     """Print the paper's metrics of every scene and their mean; write them if asked to."""
     predictions, groundtruth = Path(config.predictions), Path(config.groundtruth)
-    output = Path(config.output) if config.output is not None else None
+    output = of_this_job(Path(config.output)) if config.output is not None else None
     if output is not None:
         check_file(output)
     _check_groundtruth(groundtruth)

@@ -23,7 +23,7 @@ from tf_lab.data.sources.source import DataSource, open_source
 from tf_lab.errors import TFLabError
 from tf_lab.online.settings import InferenceSettings
 from tf_lab.reporting.results import Run, read_run
-from tf_lab.support.layout import CONFIG, GROUNDTRUTH_MESH
+from tf_lab.support.layout import CONFIG, GROUNDTRUTH_MESH, TRAININGS
 from tf_lab.support.records import record
 
 C = TypeVar("C", ViewConfig, FiguresConfig)
@@ -63,7 +63,7 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     chosen = [*run.scenes] if config.scene is None else [config.scene]
     if config.scene not in (None, *run.scenes):
         raise TFLabError(f"scene={config.scene}: {directory} has {', '.join(run.scenes)}")
-    checkpoint = config.checkpoint or run.makers[0].get("checkpoint")
+    checkpoint = config.checkpoint or _own_checkpoint(directory, run)
     several = checkpoint if isinstance(checkpoint, list) else [checkpoint]
     source, digests = open_source(run.config.data), run.makers[0].get("scenes", {})
     places = {name: source.directory(name, digests.get(name)) for name in chosen}
@@ -79,6 +79,15 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
     online = replace(config.online, precision=run.config.online.precision)  # the rest is this one's
     config = replace(config, checkpoint=checkpoint, online=online, **settings)
     return config, {name: Scene(path) for name, path in there.items()}
+
+
+def _own_checkpoint(directory: Path, run: Run) -> str | None:
+    """Of a run: where it was, or, seen from elsewhere or moved since, beside the run."""
+    known = run.makers[0].get("checkpoint")
+    if known is None or Path(known).exists():
+        return known
+    beside = directory.resolve().parents[1] / TRAININGS / Path(*Path(known).parts[-2:])
+    return str(beside) if beside.exists() else known
 
 
 def trained_size(info: dict[str, Any]) -> tuple[int, int] | None:

@@ -21,7 +21,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import Scores, format_table
-from tf_lab.experiments.launcher import job_number
+from tf_lab.experiments.launcher import of_this_job
 from tf_lab.meshes.decimate import check_share, decimated
 from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.meshes.glb import glb_of
@@ -58,8 +58,7 @@ def run(config: ReconstructConfig) -> None:
     capture = open_input(config, info)
     if config.input is None and config.output is None:
         output = output.with_stem(file_name(capture.name))
-    if config.output is None and (job := job_number()) is not None:  # else all write the same
-        output = output.with_stem(f"{output.stem}-{job}")
+    output = of_this_job(output)
     start = time.time()
     posed = _posed(capture, config)
     result = _reconstruct(network, posed, config)

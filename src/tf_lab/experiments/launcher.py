@@ -185,7 +185,9 @@ def _finished(jobs: SweepJobs, config: Any) -> Path | None:
 def single_run(hydra: Any) -> list[str]:
     """The command line that does a job of a sweep alone."""
     sources = [s for s in hydra.runtime.config_sources if s.provider == "command-line"]
-    overrides = [o for o in hydra.overrides.hydra if not o.startswith("hydra.mode=")]
+    given = OmegaConf.to_container(hydra.overrides.hydra, resolve=False)
+    assert isinstance(given, list)
+    overrides = [o for o in given if not o.startswith(("hydra.mode=", "hydra.sweep."))]
     return [
         *(f"--config-dir={source.path}" for source in sources),
         *overrides,
@@ -210,16 +212,24 @@ def _reason(status: int) -> str:
 class JobTable(Callback):
     """Ends a sweep with a table of its jobs, and with exit status 1 if any failed."""
 
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Note which records an earlier sweep left in the folder."""
+        self._earlier = _records(config)
+
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the table."""
-        records = [
-            json.loads(path.read_text())
-            for path in Path(config.hydra.sweep.dir).glob(f"*/{RECORD}")
-        ]
+        new = _records(config).items() - self._earlier.items()
+        records = [json.loads(path.read_text()) for path, _ in new]
         records.sort(key=lambda record: record["job"])
         print(f"\n{format_jobs(records)}", flush=True)
         if any("failed" in record for record in records):
             sys.exit(1)
+
+
+def _records(config: DictConfig) -> dict[Path, int]:
+    """The records in a sweep's folder, and when they were written."""
+    files = Path(config.hydra.sweep.dir).rglob(RECORD)
+    return {path: path.stat().st_mtime_ns for path in files}
 
 
 def format_jobs(records: Sequence[Mapping[str, Any]]) -> str:
@@ -240,6 +250,6 @@ def in_sweep() -> bool:
     return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
 
 
-def job_number() -> int | None:
-    """The number of this job among several; None if it is the only one."""
-    return int(HydraConfig.get().job.num) if in_sweep() else None
+def of_this_job(path: Path) -> Path:
+    """A file with this job's number in its name, if there are several, which all would write it."""
+    return path.with_stem(f"{path.stem}-{HydraConfig.get().job.num}") if in_sweep() else path

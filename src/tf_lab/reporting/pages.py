@@ -9,6 +9,7 @@ from pathlib import Path
 import yaml
 
 from tf_lab.config.stored import portable_config
+from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import without_places
 from tf_lab.meshes.files import read_mesh
 from tf_lab.reporting.charts import rows_chart, views_chart
@@ -72,7 +73,7 @@ def study_page(
         scene, runs = next(iter(shown.items()))
         row, run = next(iter(runs.items()))
         caption = paragraph(f"{scene}, {row}, seed {run.seed}")
-        mesh = caption + mesh_view(read_mesh(mesh_path(run.directory, scene)))
+        mesh = caption + _mesh(mesh_path(run.directory, scene))
     return page(
         f"Study {study.key}",
         paragraph(about),
@@ -101,7 +102,7 @@ def run_page(run: Run) -> str:
     pictures = [picture_path(run.directory, scene) for scene in run.scenes]
     meshes = [mesh_path(run.directory, scene) for scene in run.scenes]
     first = next((path for path in meshes if path.exists()), None)
-    view = "" if first is None else paragraph(first.stem) + mesh_view(read_mesh(first))
+    view = "" if first is None else paragraph(first.stem) + _mesh(first)
     origin = without_places(run.makers[0])
     return page(
         f"{run.row}, seed {run.seed}",
@@ -113,6 +114,14 @@ def run_page(run: Run) -> str:
         section("Settings", folded(CONFIG, _yaml(portable_config(run.config)))),
         section("Where it was made", folded(ORIGIN, json.dumps(origin, indent=2))),
     )
+
+
+def _mesh(path: Path) -> str:
+    """A view of a mesh, or why there is none: the rest of a page can do without."""
+    try:
+        return mesh_view(read_mesh(path))
+    except TFLabError as error:
+        return paragraph(str(error))
 
 
 def _preview(path: Path) -> str:

@@ -145,6 +145,7 @@ def group(runs: Iterable[Run]) -> list[Study]:
             if copied and not run.config.data.root:  # kept without its meshes
                 continue
             chosen[run.row, run.seed] = run
+            replaced.discard((run.row, run.config.content.init))  # tested again since
             if older and older.config.content.init != run.config.content.init:
                 replaced.add((run.row, older.config.content.init))
             if older and not copied:
@@ -159,7 +160,8 @@ def group(runs: Iterable[Run]) -> list[Study]:
                     f"{row}, seed {seed}: {_named(run)} does not count, for another seed of this "
                     "network was replaced by a newer one"
                 )
-        studies.append(Study(members[0].settings, chosen, tuple(lines)))
+        if chosen:
+            studies.append(Study(members[0].settings, chosen, tuple(lines)))
     studies.sort(key=lambda s: (len(s.runs), max(r.finished for r in s.runs.values())))
     return studies[::-1]
 

@@ -78,6 +78,8 @@ def check_file(path: Path) -> None:
     """
     if path.is_dir():
         raise TFLabError(f"{path}: is a folder; give the name of a file in it")
+    if path.exists() and not path.is_file():  # such as /dev/null
+        raise TFLabError(f"{path}: is a device or pipe; give the name of a file, which is written")
     check_folder(path.parent, path)
 
 
@@ -150,6 +152,9 @@ def _full(error: BaseException | None) -> OSError | None:
     while error is not None:
         if isinstance(error, OSError) and error.errno in FULL:
             return error
+        told = re.search(r"\(os error (\d+)\)", str(error))  # by Rust, as in safetensors
+        if told and (number := int(told[1])) in FULL:
+            return OSError(number, os.strerror(number))
         error = error.__cause__ or error.__context__
     return None
 
@@ -173,11 +178,14 @@ def _grown(file: Path) -> OSError | None:
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that replaces it when the block ends without an error.
 
-    The temporary name keeps the suffix, because many writers choose the format by it.
+    Where ``path`` is a link, what it leads to is replaced. The temporary name keeps the suffix,
+    because many writers choose the format by it.
 
     Raises:
         TFLabError: there is no space for it.
     """
+    if path.is_symlink():
+        path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=_prefix(), suffix=path.suffix, dir=path.parent)
     os.close(handle)
@@ -222,7 +230,10 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def remove_directory(path: Path) -> None:
-    """Remove a directory; what is half removed never passes for a whole one."""
+    """Remove a directory, through a link too; what is half removed never passes for a whole one."""
+    if path.is_symlink():
+        link, path = path, path.resolve()
+        link.unlink()
     remove_abandoned(path.parent)
     temporary = path.with_name(_prefix() + path.name)
     path.rename(temporary)
