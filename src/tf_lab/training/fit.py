@@ -210,8 +210,9 @@ class _WholeSteps(Callback):
     ) -> None:
         progress = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
         done = checkpoint["global_step"] * trainer.accumulate_grad_batches
-        for counts in (progress["current"], progress["total"]):
-            counts.update(dict.fromkeys(counts, done))
+        if progress["total"]["ready"] != done:
+            for counts in (progress["current"], progress["total"]):
+                counts.update(dict.fromkeys(counts, done))
 
 
 def _trainer(
