@@ -1,7 +1,9 @@
 """What lies where in an output folder: trainings, evaluations ("runs"), and what is in each.
 
-trainings/NAME/  config.yaml  run.json  last.ckpt  model.safetensors  loss.png  logs/
-runs/NAME/       config.yaml  run.json  metrics.json  meshes/SCENE.ply  pictures/SCENE.png
+::
+
+    trainings/NAME/  config.yaml  run.json  last.ckpt  model.safetensors  loss.png  logs/
+    runs/NAME/       config.yaml  run.json  metrics.json  meshes/SCENE.ply  pictures/SCENE.png
 """
 
 from __future__ import annotations
