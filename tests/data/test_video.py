@@ -2,6 +2,7 @@
 
 import pickle
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,15 @@ def test_a_video_may_be_pickled(written: Write) -> None:
     copy = pickle.loads(content)
     assert [number_in(copy.image(i)) for i in (30, 3)] == [30, 3]
     assert number_in(capture.image(21)) == 21
+
+
+def test_threads_take_turns(written: Write) -> None:
+    """Two reconstructions side by side, each at its own place in the video."""
+    walk = Video(written())
+    places = [range(0, 30, 3), range(9, 39, 3)]
+    with ThreadPoolExecutor(2) as pool:
+        read = pool.map(lambda place: [number_in(walk.read(i)) for i in place], places)
+        assert list(read) == [list(place) for place in places]
 
 
 def test_the_file_and_its_folder(written: Write) -> None:

@@ -160,6 +160,7 @@ def test_a_point_cloud_is_scored_by_its_points(tmp_path: Path) -> None:
     scores = evaluate_scene(tmp_path / "p.ply", truth)
     same = evaluate_scene(trimesh.Trimesh(vertices, process=False), truth)
     assert scores == pytest.approx(same, abs=1e-5)  # the file holds float32
+    assert scores == evaluate_scene(str(tmp_path / "p.ply"), str(truth))
     compl = 100 * (6 * 0.03 + 3 * np.hypot(0.5, 0.03)) / 9
     expected = {"acc": 3, "compl": compl, "chamfer": (3 + compl) / 2, "prec": 1, "recall": 2 / 3}
     assert scores == pytest.approx({**expected, "fscore": 0.8}, abs=1e-5)

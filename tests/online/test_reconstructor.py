@@ -1,5 +1,6 @@
 """Lazy, sparse reconstruction against references, and the independence it promises."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,18 @@ from torch import Tensor
 from helpers import box_room
 from helpers.online.dense import DenseReconstructor, embed
 from helpers.online.scenes import (
+    FAR,
     FRAMES,
     Factory,
     assert_close_surface,
+    assert_same_surface,
     balanced,
     clearance,
     dense,
     dense_grid,
     on_grid,
     reconstruct,
+    settings_of,
     trained_to_match,
     volumes_of,
 )
@@ -27,13 +31,18 @@ from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
 from tf_lab.network.chunks import Views
+from tf_lab.network.network import Network
 from tf_lab.network.refinement import ResidualBlock3d
+from tf_lab.online.decode import Decoder
 from tf_lab.online.lattice import sparse
+from tf_lab.online.lattice.level import Level
+from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views.selection import (
     AttentionSelection,
     RandomSelection,
 )
+from tf_lab.stereo.depth import DepthSequence
 
 
 def clear_points(grid: VoxelGrid, scene: Scene, count: int) -> np.ndarray:
@@ -354,3 +363,64 @@ def test_a_frame_that_cannot_be_one(tiny_network: Factory, scene: Scene) -> None
 def test_a_voxel_needs_a_view(views: int) -> None:
     with pytest.raises(TFLabError, match="views="):
         ReconstructionSettings(views=views)
+
+
+PLACES = {
+    "encoding": (Network, "encode"),
+    "stereo": (DepthSequence, "add"),
+    "offering": (Level, "offer"),
+    "fusing": (Level, "fuse"),
+    "refining": (sparse, "residual_blocks"),
+    "masking": (sparse, "mask_logits"),
+    "replaying": (Reconstructor, "replay"),
+    "decoding": (Decoder, "__call__"),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_what_breaks_off_leaves_nothing_half_done(
+    tiny_network: Factory, scene: Scene, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    """Memory that is short, at every call in turn: all goes on as if it had not been."""
+    network = balanced(trained_to_match(tiny_network(far=FAR, matching=True, stereo=True)), scene)
+    frames = FRAMES[:3]
+    expected = reconstruct(network, scene, frames).mesh(color=False)
+    owner, name = PLACES[place]
+    work, calls = getattr(owner, name), [0]
+    broken = 0
+    for fatal in range(1, 6):
+        calls[0] = 0
+
+        def short(*args: Any, fatal: int = fatal, **kwargs: Any) -> Any:
+            calls[0] += 1
+            if calls[0] == fatal:
+                work(*args, **kwargs)  # what it has changed by then stays changed
+                raise torch.OutOfMemoryError("CUDA out of memory")
+            return work(*args, **kwargs)
+
+        monkeypatch.setattr(owner, name, short)
+        r = Reconstructor(network, settings_of())
+        for i in frames:
+            frame = scene.image(i), scene.K[i], scene.world_T_cam[i]
+            try:
+                r.add_frame(*frame)
+            except torch.OutOfMemoryError:
+                broken += 1
+                r.add_frame(*frame)
+        try:
+            r.mesh(color=False)
+        except torch.OutOfMemoryError:
+            broken += 1
+        mesh = r.mesh(color=False)
+        monkeypatch.setattr(owner, name, work)
+        assert len(r.frames) == len(frames)
+        assert_same_surface(mesh, expected)
+    assert broken
+
+
+def test_files_may_be_named_by_text(tiny_network: Factory, scene: Scene, tmp_path: Path) -> None:
+    network = tiny_network(far=FAR)
+    r = reconstruct(network, scene, FRAMES[:1])
+    r.save(str(tmp_path / "state.safetensors"))
+    again = Reconstructor.load(str(tmp_path / "state.safetensors"), network)
+    assert torch.equal(again.coarse.store.frames, r.coarse.store.frames)

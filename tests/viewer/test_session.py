@@ -1,5 +1,7 @@
 """A session without a page: frames, mesh, clock, picked point."""
 
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from tf_lab.meshes.raycast import CLAY
 from tf_lab.meshes.weld import weld
 from tf_lab.support.colors import error_colors, frame_colors
 from tf_lab.viewer import session as module
+from tf_lab.viewer.paint import painter
 from tf_lab.viewer.session import Session
 
 
@@ -144,6 +147,22 @@ def test_a_click_shows_the_views_that_see_the_point(full: Session, scene: Scene)
         assert view.weight == pytest.approx(by_frame[FRAMES.index(view.source)])
 
 
+def test_a_click_while_the_last_one_is_looked_for(
+    full: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[float] = []
+
+    def hit(origin: np.ndarray, direction: np.ndarray) -> None:
+        looked.append(float(origin[0]))
+        if len(looked) == 1:
+            full.pick(np.ones(3), direction)
+
+    monkeypatch.setattr(full.growth, "hit", hit)
+    full.pick(np.zeros(3), np.array([0.0, 0, -1]))
+    finish(full)
+    assert looked == [0, 1]
+
+
 def test_the_point_is_marked_in_the_images(full: Session, scene: Scene) -> None:
     point, told = click(full, scene)
     for view in told.pick.views:
@@ -206,6 +225,42 @@ def test_a_frame_that_cannot_be_read_is_left_out(session: Session, scene: Scene)
     assert finish(session).frames == list(FRAMES[:2])
 
 
+def test_what_breaks_off_is_told_and_the_page_lives_on(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = session.growth.add
+    trouble: list[str] = []
+
+    def short(*args: Any) -> None:
+        monkeypatch.setattr(session.growth, "add", add)
+        raise MemoryError("too little")
+
+    def stated(state: Any) -> None:
+        trouble.append(state.trouble)
+        session.listener.state = state
+
+    monkeypatch.setattr(session.growth, "add", short)
+    monkeypatch.setattr(session.listener, "stated", stated)
+    thread = session.start()
+    try:
+        session.jump(1)
+        wait_until(lambda: "MemoryError: too little" in trouble)
+        session.jump(3)
+        wait_until(lambda: len(session.growth) == 2)  # the first of the three was lost
+    finally:
+        session.stop()
+        thread.join(20)
+    assert not thread.is_alive()
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    """Or fail after a while."""
+    end = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 class Broken:
     """A scene with a frame that cannot be read."""
 
@@ -239,6 +294,14 @@ def test_colours(full: Session, scene: Scene) -> None:
     told = finish(full)
     far = np.abs(points[:, 2]) > 0.2
     assert (told.colors[chunk][far] == error_colors(np.array([1.0]))).all()
+
+
+def test_surface_that_no_frame_sees_has_a_colour(full: Session) -> None:
+    away = trimesh.creation.box(
+        (0.1, 0.1, 0.1), trimesh.transformations.translation_matrix([90] * 3)
+    )
+    colors = painter("image", full.growth, 1, lambda: None)(away)
+    assert (colors == np.round(255 * np.array(CLAY))).all()
 
 
 def test_other_colours_come_before_more_frames(session: Session) -> None:

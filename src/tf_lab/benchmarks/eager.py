@@ -33,8 +33,10 @@ class EagerReconstructor(Reconstructor):
     def replay(self, coords: Tensor) -> None:
         """Lazily."""
         literal, self.literal = self.literal, False
-        super().replay(coords)
-        self.literal = literal
+        try:
+            super().replay(coords)
+        finally:
+            self.literal = literal
 
     def offer(self, level: Level, frame: int, rows: Tensor) -> None:
         """And fuse all that the voxels hold then."""

@@ -16,7 +16,8 @@ from torch import nn
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.experiments.provenance import without_places
 from tf_lab.support.files import atomic_path
-from tf_lab.training.fit import LAST, FitSettings, fit, rank_zero_lock, score
+from tf_lab.support.layout import LAST
+from tf_lab.training.fit import FitSettings, fit, rank_zero_lock, score
 
 
 def fit_weights(
@@ -30,7 +31,7 @@ def fit_weights(
     info: dict[str, Any],
     finish: Callable[[], None] | None = None,
 ) -> None:
-    """Train, and write weights, provenance and the last scores; of 0 steps print scores alone.
+    """Train, and write weights, provenance and scores; of 0 steps print scores alone.
 
     Args:
         network: whose weights are written.
@@ -45,28 +46,24 @@ def fit_weights(
             for this.
     """
     alone = replace(trainer, devices=1, strategy="auto")
-    if settings.steps == 0:
-        scores = _scores(score(module, data, alone), sets)
-        if finish is None:
+
+    def end(write: bool) -> None:
+        scores = _scores(score(module, data, alone), sets)  # of the weights as they are now
+        if finish is not None:
+            finish()
+        if write:
+            _write(network, output, {**info, "scores": scores})
+        else:
             print(scores)
-            return
-        finish()
-        _write(network, output, {**info, "scores": scores})
+
+    if settings.steps == 0:
+        end(write=finish is not None)
         return
     directory = output.with_suffix("")
     with rank_zero_lock(directory, "pre-training"):
-        fitted = fit(
-            module,
-            data,
-            directory,
-            alone,
-            settings,
-            loggers=[CSVLogger(directory, name="logs")],
-        )
-        scores = _scores(fitted.callback_metrics, sets)
-        if finish is not None:
-            finish()
-        _write(network, output, {**info, "scores": scores})
+        loggers = [CSVLogger(directory, name="logs")]
+        fit(module, data, directory, alone, settings, loggers=loggers)
+        end(write=True)
         (directory / LAST).unlink(missing_ok=True)
 
 

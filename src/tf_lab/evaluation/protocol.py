@@ -55,7 +55,7 @@ def read_groundtruth(directory: Path) -> GroundTruth:
     """
     mesh = read_mesh(directory / GROUNDTRUTH_MESH)
     if len(mesh.vertices) == 0:
-        raise TFLabError(f"{directory / 'mesh_gt.ply'}: has no vertex; prepare the scene again")
+        raise TFLabError(f"{directory / GROUNDTRUTH_MESH}: has no vertex; prepare the scene again")
     path = directory / "occlusion_mask.npy"
     mask = np.array(read_array(path, LAYOUT))
     if mask.ndim != 3 or 0 in mask.shape or mask.dtype.kind not in "biuf":
@@ -81,8 +81,8 @@ def _read_world2grid(path: Path) -> np.ndarray:
 
 
 def evaluate_scene(
-    prediction: Path | trimesh.Trimesh | None,
-    groundtruth_dir: Path,
+    prediction: str | Path | trimesh.Trimesh | None,
+    groundtruth_dir: str | Path,
     seed: int = 0,
     metrics: Sequence[Any] = (),
 ) -> Scores:
@@ -97,9 +97,9 @@ def evaluate_scene(
     Raises:
         TFLabError: a file is damaged, or the ground truth is incomplete.
     """
-    truth = read_groundtruth(groundtruth_dir)
-    if isinstance(prediction, Path):
-        prediction = _read_prediction(prediction)
+    truth = read_groundtruth(Path(groundtruth_dir))
+    if isinstance(prediction, str | Path):
+        prediction = _read_prediction(Path(prediction))
     return score(compared(prediction, truth, seed), metrics)
 
 

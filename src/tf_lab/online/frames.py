@@ -21,8 +21,10 @@ from tf_lab.geometry import (
     check_focal,
     frustum_corners,
     frustum_planes,
+    in_view,
     invert_pose,
     is_valid_pose,
+    project,
 )
 from tf_lab.network.network import LEVELS, Network
 from tf_lab.network.tokens import Measurements, measure
@@ -144,6 +146,19 @@ class Frames:
             self._load(number)
         return number
 
+    def truncate(self, count: int) -> None:
+        """Only the first frames are there, whatever was broken off half done.
+
+        All maps are encoded again when they are needed.
+        """
+        del self.images[count:], self.poses[count:]
+        self.cameras.grow(count)
+        self._resident.clear()
+        self._slot = torch.full((count,), -1, dtype=torch.int64, device=self.maps_device)
+        if self._depths is not None:
+            del self._depths.views[count:]
+            self._stereo.grow(min(self._stereo.rows, count))
+
     def frustum_box(self, frame: int) -> tuple[Tensor, Tensor]:
         """Lower and upper corner [3] (metres, on the host) of the box around a frame's frustum."""
         corners = frustum_corners(*self._frustum(frame))
@@ -156,8 +171,9 @@ class Frames:
 
     def visible(self, points: Tensor, frame: int) -> Tensor:
         """Whether a frame sees points [P, 3], occlusion apart: bool [P]."""
-        K, pose = self.cameras["K"][frame], self.cameras["world_T_cam"][frame]
-        return self.network.visible(points, K[None], pose[None], self.size)[0]
+        K, cam_T_world = self.cameras["K"][frame], self.cameras["cam_T_world"][frame]
+        uv, depth = project(points, K, cam_T_world)
+        return in_view(uv, depth, self.size, self.network.config.near, self.network.config.far)
 
     def measure(self, level: str, points: Tensor, frames: Tensor) -> Measurements:
         """What frames [P] measure at points [P, 3], one each: [P, ...]."""

@@ -16,8 +16,8 @@ the kept feature maps, so that the result does not depend on when that was found
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Self
@@ -73,11 +73,17 @@ class Reconstructor:
         maps_device = None if settings.maps_device is None else torch.device(settings.maps_device)
         maps = dtype_of(settings.maps, self.device)
         self.frames = Frames(network, maps, maps_device, settings.maps_budget)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Without view sets and surface."""
+        settings = self.settings
+        self._broken = False  # whether work on them was broken off half done
         self.coarse = self._level("coarse", COARSE)
         self.fine = self._level("fine", FINE)
         n = cells_per_voxel(FINE, settings.resolution)
         self.pipeline = self.stages(
-            network,
+            self.network,
             self.coarse,
             self.fine,
             settings.threshold,
@@ -92,10 +98,12 @@ class Reconstructor:
         """Add a frame: uint8 [H, W, 3] RGB, its intrinsics [3, 3] and its pose [4, 4].
 
         Raises:
-            TFLabError: the frame cannot be used; nothing has changed then.
+            TFLabError: the frame cannot be used; nothing has changed then. Nor has it where the
+                work breaks off (an interrupt, too little memory), here or in `mesh`: the next call
+                makes the view sets anew of the frames there are, which takes a while.
         """
         tensor, k, pose = self._checked(image, K, world_T_cam)
-        with self.precision():
+        with self._whole():
             number = self.frames.add(tensor, k, pose)
             self.see(number)
 
@@ -129,9 +137,34 @@ class Reconstructor:
 
         ``roughly`` is for those who watch, see `Pipeline.update`.
         """
-        with self.precision():
+        with self._whole():
             self.surface.touch(self.pipeline.update(whole_chunks(box), roughly))
         return self.surface.update(box)
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Work that changes frames, view sets or what is made of them: all of it, or none."""
+        self._mend()
+        count = len(self.frames)
+        self._broken = True
+        try:
+            with self.precision():
+                yield
+        except BaseException:
+            self.frames.truncate(count)
+            raise
+        self._broken = False
+
+    def _mend(self) -> None:
+        """Make anew what was left half done."""
+        if not self._broken:
+            return
+        self._begin()
+        self._broken = True  # until all frames were seen
+        with self.precision():
+            for frame in range(len(self.frames)):
+                self.see(frame)
+        self._broken = False
 
     @torch.inference_mode()
     def view_weights(
@@ -147,6 +180,7 @@ class Reconstructor:
             Frame numbers int [P, K], -1 in empty slots, and weights [P, K], 0 in empty ones; they
             sum to 1 where any frame is held.
         """
+        self._mend()
         store = self.fine if level == "fine" else self.coarse
         where = torch.as_tensor(np.asarray(points), dtype=torch.float32, device=self.device)
         rows = store.blocks.row_of((where / store.voxel).floor().long())
@@ -158,18 +192,21 @@ class Reconstructor:
         frames[known] = store.store.frames[rows[known]].long()
         return frames.cpu().numpy(), weights.cpu().numpy()
 
-    def save(self, path: Path) -> None:
+    @torch.inference_mode()
+    def save(self, path: str | Path) -> None:
         """Write frames and view sets to a file, whole or not at all."""
-        write_state(path, self.settings, self.frames, (self.coarse, self.fine))
+        self._mend()
+        write_state(Path(path), self.settings, self.frames, (self.coarse, self.fine))
 
     @classmethod
     @torch.inference_mode()
-    def load(cls, path: Path, network: Network) -> Self:
+    def load(cls, path: str | Path, network: Network) -> Self:
         """Go on with what `save` wrote, with the same network.
 
         Raises:
             TFLabError: the file is missing, damaged, or made with another network.
         """
+        path = Path(path)
         settings, tensors = read_state(path, network)
         if settings.maps_device is not None and not is_there(settings.maps_device):
             settings = replace(settings, maps_device=None)  # which changes no number

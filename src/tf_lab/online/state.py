@@ -55,7 +55,7 @@ def write_state(
         tensors[f"{level.name}.blocks"] = level.blocks.coords
         for name in COLUMNS:
             tensors[f"{level.name}.{name}"] = level.store.table[name]
-    state = {name: tensor.cpu().contiguous().clone() for name, tensor in tensors.items()}
+    state = {name: tensor.cpu().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
         save_file(state, temporary, {"reconstruction": json.dumps(asdict(description))})
 

@@ -111,7 +111,7 @@ def initialise(network: Network, path: Path) -> None:
         TFLabError: it cannot be read, or is of another network; the first misfit is named.
     """
     if _is_state(path):
-        theirs = NetworkConfig(**read_state(path)["hyper_parameters"]["network"])
+        theirs = NetworkConfig(**_hyper_parameters(path, read_state(path))["network"])
         state = None
     else:
         other, _ = load_network(path)
@@ -140,7 +140,7 @@ def check_state(path: Path, settings: Mapping[str, Any]) -> None:
         TFLabError: it has all its steps already, or an optimiser of other settings.
     """
     state = read_state(path)
-    theirs = state["hyper_parameters"].get(OPTIMIZER)
+    theirs = _hyper_parameters(path, state).get(OPTIMIZER)
     if theirs is None:
         raise TFLabError(f"init={path}: does not say how it was trained; train it again")
     steps = settings["steps"]
@@ -153,6 +153,13 @@ def check_state(path: Path, settings: Mapping[str, Any]) -> None:
             f"init={path}: a state goes on with its optimizer, of which {misfit}; to train its "
             "weights otherwise give model.safetensors beside it"
         )
+
+
+def _hyper_parameters(path: Path, state: Mapping[str, Any]) -> dict[str, Any]:
+    found = state.get("hyper_parameters")
+    if not isinstance(found, dict) or not isinstance(found.get("network"), dict):
+        raise TFLabError(f"init={path}: no state of `python -m tf_lab.train`")
+    return found
 
 
 def _is_state(path: Path) -> bool:

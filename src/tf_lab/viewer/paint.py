@@ -26,6 +26,8 @@ def by_images(growth: Growth, piece: trimesh.Trimesh) -> np.ndarray:
     """As the frames see it: uint8 [V, 3]."""
     frames = growth.reconstructor.frames
     chosen = seeing(growth, piece.bounds)
+    if not len(chosen):  # surface reaches a voxel's edge beyond what frames see
+        return clay(piece)
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, FRAMES).round().astype(int))]
     others = [np.asarray(p.vertices)[::SPARSE] for p in growth.pieces.values() if p is not piece]
     painted = piece.copy()

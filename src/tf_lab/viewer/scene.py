@@ -167,7 +167,7 @@ class Drawing:
         self._hidden.discard(what) if visible else self._hidden.add(what)
         one = self.server.scene.get_handle_by_name(f"{self.name}/{what}")
         nodes = {"mesh": self._pieces.values(), "cameras": self._cameras.values()}
-        for node in nodes.get(what, [one] if one is not None else []):
+        for node in list(nodes.get(what, [one] if one is not None else [])):  # pieces may come
             node.visible = visible
 
 

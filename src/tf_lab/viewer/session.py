@@ -6,6 +6,7 @@ that nobody who asks waits. What comes of it is told to a `Listener`.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -24,6 +25,8 @@ from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.surface import Chunk
 from tf_lab.viewer.growth import Growth, Pieces
 from tf_lab.viewer.paint import MODES, painter
+
+log = logging.getLogger(__name__)
 
 REFRESH = 0.15  # seconds after which the mesh comes before the next frame
 AGAIN = 0.015  # the same after a chunk that came out as before: time for one frame
@@ -173,6 +176,11 @@ class Session:
                 worked = self.work()
             except TFLabError as error:
                 self._trouble, worked = str(error), True
+            except Exception as error:  # too little memory, say; the page lives on
+                log.exception("the viewer's work broke off")
+                self._trouble, worked = f"{type(error).__name__}: {error}", False
+                self.playing = False  # until somebody asks for something
+                self.listener.stated(self._state(""))
             if not worked:
                 with self._wake:
                     self._wake.wait(self._pause())
@@ -270,7 +278,8 @@ class Session:
 
     def _find(self) -> None:
         assert self._ray is not None
-        point, self._ray = self.growth.hit(*self._ray), None
+        ray, self._ray = self._ray, None  # another may come meanwhile
+        point = self.growth.hit(*ray)
         if point is not None:
             self.point = point
             self._look()

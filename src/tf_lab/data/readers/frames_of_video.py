@@ -8,6 +8,7 @@ starts again.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ CURE = "convert it with ffmpeg to an .mp4, or extract its frames into images/"
 
 
 class Video:
-    """A video file. May be pickled; for one process and thread at a time.
+    """A video file. May be pickled; threads take turns.
 
     Args:
         path: the file.
@@ -41,6 +42,7 @@ class Video:
     def __init__(self, path: Path, upright: bool = True) -> None:
         self.path = path
         self.upright = upright
+        self._turn = threading.Lock()
         self._end: int | None = None  # no frame from here on can be decoded
         capture = self._start()
         width, height = (
@@ -50,11 +52,14 @@ class Video:
         self._declared = capture.get(cv2.CAP_PROP_FRAME_COUNT)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_capture": None}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_capture", "_turn")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _capture=None, _turn=threading.Lock())
 
     def read(self, index: int) -> np.ndarray:
         """Frame ``index`` from 0, uint8 [H, W, 3] RGB. Raises TFLabError if it can't be decoded."""
-        with _quiet():
+        with self._turn, _quiet():
             try:
                 image = self._capture.retrieve()[1] if self._reach(index) else None
                 if image is not None:
@@ -71,9 +76,9 @@ class Video:
         """
         if self._declared == expected:
             return expected
-        with _quiet():
+        with self._turn, _quiet():
             self._reach(expected)
-        return self._position + 1
+            return self._position + 1
 
     def _start(self) -> cv2.VideoCapture:
         with _quiet():

@@ -42,7 +42,7 @@ class Table:
         return sum(c.shape[1:].numel() * c.element_size() for c in columns)
 
     def grow(self, rows: int, limit: int | None = None) -> None:
-        """Make it ``rows`` long, without spare room beyond ``limit`` rows."""
+        """Make it ``rows`` long (or short), without spare room beyond ``limit`` rows."""
         for name, column in self._columns.items():
             if len(column) < rows:
                 spare = round(len(column) * GROWTH.get(self.device.type, GROWTH["cuda"]))
