@@ -1,6 +1,7 @@
 """Captures made into scenes: what is kept, what is left out, and what is true of it."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -150,6 +151,19 @@ def test_one_bad_capture_does_not_stop_the_others(source: Path, tmp_path: Path) 
     np.savetxt(bad / "camera-intrinsics.txt", room_frames()[0].K)
     again = prepare_captures(found, root, SMALL, workers=1, memory=MEMORY)
     assert (again.failed, again.scenes["kitchen"].stat().st_ino) == ({}, stamp)
+
+
+def test_captures_behind_links_keep_their_own_names(source: Path, tmp_path: Path) -> None:
+    """7-Scenes has a `seq-01` of every place."""
+    root = tmp_path / "links"
+    root.mkdir()
+    for name in ("kitchen", "office"):
+        real = tmp_path / name / "seq-01"
+        shutil.copytree(source, real)
+        (root / name).symlink_to(real)
+    found = find_captures(root)
+    made = prepare_captures(found, tmp_path / "scenes", SMALL, workers=1, memory=MEMORY).scenes
+    assert {name: Scene(path).name for name, path in made.items()} == {n: n for n in found}
 
 
 def test_only_preparing_writes_what_became_of_all_scenes(source: Path, tmp_path: Path) -> None:

@@ -96,6 +96,15 @@ def assert_same(a: SourceCapture, b: SourceCapture) -> None:
     np.testing.assert_array_equal(a.image(0), b.image(0))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_texts_that_were_saved_on_windows(text: Write, encoding: str) -> None:
+    plain = colmap.read(text())
+    for name in ("cameras.txt", "images.txt"):
+        path = text() / name
+        path.write_text(path.read_text(), encoding=encoding, newline="\r\n")
+        assert_same(colmap.read(path.parent), plain)
+
+
 def test_a_known_camera(text: Write) -> None:
     capture = colmap.read(text())
     np.testing.assert_allclose(capture.world_T_cam[0], WORLD_T_CAM, atol=1e-15)

@@ -249,6 +249,13 @@ def test_images_and_depth_of_a_known_camera_lose_their_distortion(
         np.testing.assert_allclose(capture.K[0], [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
+def test_a_link_may_say_the_camera(tmp_path: Path) -> None:
+    real = vga(tmp_path / "download", *dots("freiburg2"))
+    (tmp_path / "rgbd_dataset_freiburg2_desk").symlink_to(real)
+    pixels, _ = dots_off(open_capture(tmp_path / "rgbd_dataset_freiburg2_desk"))
+    assert pixels.max() < 0.2
+
+
 @pytest.mark.parametrize("name", list(PUBLISHED))
 def test_another_camera_would_show(tmp_path: Path, name: str) -> None:
     rgb, depth = dots(name)

@@ -161,6 +161,7 @@ def test_a_point_cloud_is_scored_by_its_points(tmp_path: Path) -> None:
     same = evaluate_scene(trimesh.Trimesh(vertices, process=False), truth)
     assert scores == pytest.approx(same, abs=1e-5)  # the file holds float32
     assert scores == evaluate_scene(str(tmp_path / "p.ply"), str(truth))
+    assert same == evaluate_scene(cloud, truth)
     compl = 100 * (6 * 0.03 + 3 * np.hypot(0.5, 0.03)) / 9
     expected = {"acc": 3, "compl": compl, "chamfer": (3 + compl) / 2, "prec": 1, "recall": 2 / 3}
     assert scores == pytest.approx({**expected, "fscore": 0.8}, abs=1e-5)
@@ -247,6 +248,36 @@ def test_empty_meshes_score_as_missing_ones(tmp_path: Path, content: str) -> Non
     assert evaluate_scene(tmp_path / "p.ply", truth) == WORST
     assert evaluate_scene(tmp_path / "none.ply", truth) == WORST
     assert evaluate_scene(None, truth) == WORST
+
+
+@pytest.mark.parametrize("file", ["far.obj", "far.PLY"])
+def test_a_prediction_in_another_format_is_told(folders: tuple[Path, Path], file: str) -> None:
+    predictions, groundtruth = folders
+    (predictions / "far.ply").rename(predictions / file)
+    result = evaluate(predictions, groundtruth)
+    assert result["missing"] == ["far"]
+    assert f"{file}: predictions are read from far.ply; convert it" in result["failed"]["far"]
+
+
+def test_a_mesh_with_a_vertex_that_is_no_number(tmp_path: Path) -> None:
+    truth = write_truth(tmp_path / "scene", grid_plane(n=3))
+    broken = grid_plane(n=3)
+    broken.vertices[0] = np.nan
+    with pytest.raises(TFLabError, match="NaN"):
+        evaluate_scene(broken, truth)
+
+
+def test_a_texture_that_is_not_there_is_not_missed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    truth = write_truth(tmp_path / "scene", grid_plane(n=3))
+    grid_plane(n=3).export(tmp_path / "p.ply", encoding="ascii")
+    text = (tmp_path / "p.ply").read_text()
+    (tmp_path / "p.ply").write_text(
+        text.replace("ascii 1.0\n", "ascii 1.0\ncomment TextureFile t.png\n")
+    )
+    assert evaluate_scene(tmp_path / "p.ply", truth) == evaluate_scene(grid_plane(n=3), truth)
+    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 def test_a_missing_prediction_counts_in_the_mean_and_is_told(folders: tuple[Path, Path]) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from tf_lab.network.fusion.contract import CHECKS, HEADS, D, K, example, slots_o
 from tf_lab.network.fusion.strategy import Fusion, check_outputs
 from tf_lab.network.fusion.transformer import _attend_by_products
 from tf_lab.support.registry import Part
+from tf_lab.support.settings import setting
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -23,10 +25,21 @@ def test_contract(part: Part, check: Callable[[Any], None]) -> None:
     check(part.name)
 
 
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Another loudness is no other training."""
+
+    strategy: str = setting("noise", shapes="weights")
+    loudness: float = setting(1.0)
+
+
 class Noise(Fusion):
     """Keeps none of it."""
 
     ranks_views = True
+
+    def __init__(self, *sizes: Any, loudness: float) -> None:
+        super().__init__(*sizes)
 
     def selection_logits(self, tokens: Tensor) -> Tensor:
         return torch.randn(*tokens.shape[:-1], HEADS)
@@ -39,7 +52,7 @@ class Noise(Fusion):
 def test_the_contract_can_be_broken(
     check: Callable[[Any], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    noise = FusionPart("noise", f"{__name__}:Noise", FUSIONS["avg"].settings)
+    noise = FusionPart("noise", f"{__name__}:Noise", NoiseSettings)
     monkeypatch.setitem(FUSIONS._parts, "noise", noise)
     with pytest.raises(AssertionError):
         check({"strategy": "noise"})

@@ -346,12 +346,13 @@ def test_a_frame_of_another_size(tiny_network: Factory, scene: Scene) -> None:
 
 def test_a_frame_that_cannot_be_one(tiny_network: Factory, scene: Scene) -> None:
     image, K, pose = scene.image(0), scene.K[0], scene.world_T_cam[0]
-    twice = np.diag([2.0, 2.0, 1.0]) @ K * [1, 1, 2]  # of images of four times the pixels
+    larger = np.diag([4.0, 4.0, 1.0]) @ K  # of images of 16 times the pixels
     for frame, said in (
         ((image.transpose(2, 0, 1), K, pose), r"\(3, .*has to be uint8 \[H, W, 3\], RGB"),
         ((image / 255.0, K, pose), r"float64; it has to be uint8"),
         ((image, K, pose[:3]), r"\(3, 4\); it has to be \[4, 4\]"),
-        ((image, twice, pose), r"principal point .* outside of the .* of one size"),
+        ((image, K.T, pose), r"intrinsics .* that are not fx s cx / 0 fy cy / 0 0 1"),
+        ((image, larger, pose), r"principal point .* outside of the .* of one size"),
     ):
         r = reconstruct(tiny_network(), scene, [])
         with pytest.raises(TFLabError, match=said):

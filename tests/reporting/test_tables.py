@@ -14,6 +14,7 @@ from tf_lab.reporting.formats import Column, Number, Table, comma_separated, lat
 from tf_lab.reporting.paper import ABLATIONS, MAIN, SCORES
 from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import (
+    _with_best,
     comparison_table,
     inputs_table,
     main_table,
@@ -120,6 +121,14 @@ def test_equals_are_equally_good(tmp_path: Path) -> None:
     found = cells(short_table(open_study([tmp_path])[0]))
     assert found["Ours"][5] == found["Ours: 8 images"][5] == "**0.600**"
     assert found["Ours: 4 images"][5] == "0.590"
+
+
+@pytest.mark.parametrize("form", [".1%", ",.1f"])
+def test_the_best_of_numbers_however_they_are_printed(form: str) -> None:
+    columns = (Column("name", "N"), Column("p", "p", "up"))
+    body = [[("a", Number(1234.0, form)), ("b", Number(5.0, form))]]
+    ((first, second),) = _with_best(body, columns)
+    assert (first[1].best, second[1].best) == (True, False)
 
 
 def test_a_row_without_a_surface_is_best_at_nothing(tmp_path: Path) -> None:

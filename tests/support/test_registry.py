@@ -17,6 +17,32 @@ class RootSettings:
     n: int = setting(2, "which root")
 
 
+@dataclass(frozen=True)
+class GoneSettings:
+    """Of what is not there."""
+
+    kind: str = setting("gone", "of function")
+
+
+@dataclass(frozen=True)
+class PlainSettings:
+    """One of them says nothing of itself."""
+
+    kind: str = setting("plain", "of function")
+    n: int = 2
+
+
+class NoSettings:
+    """No dataclass."""
+
+
+@dataclass(frozen=True)
+class NamelessSettings:
+    """Without the name."""
+
+    n: int = setting(2, "which root")
+
+
 def root(x: float, n: int) -> float:
     return x ** (1 / n)
 
@@ -25,7 +51,7 @@ def root(x: float, n: int) -> float:
 def functions() -> Registry[Part]:
     found: Registry[Part] = Registry("function", "kind")
     found.add(Part("root", f"{__name__}:root", RootSettings))
-    found.add(Part("gone", "no.such:thing", RootSettings, option="away"))
+    found.add(Part("gone", "no.such:thing", GoneSettings, option="away"))
     return found
 
 
@@ -59,6 +85,28 @@ def test_names(functions: Registry[Part]) -> None:
 def test_what_is_not_there(functions: Registry[Part], given: object, told: str) -> None:
     with pytest.raises(TFLabError, match=told):
         functions.make(given, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("part", "told"),
+    [
+        (Part("a.b", "m:f", RootSettings), "function=a.b: name it by letters"),
+        (Part("copied", "m:f", RootSettings), "RootSettings.kind is 'root' by default; .*'copied'"),
+        (Part("plain", "m:f", PlainSettings), "PlainSettings.n is to be made by setting"),
+        (Part("none", "m:f", NoSettings), "NoSettings is no dataclass"),
+        (Part("nameless", "m:f", NamelessSettings), "NamelessSettings.kind is missing"),
+    ],
+)
+def test_a_part_that_would_not_work_is_refused(
+    functions: Registry[Part], part: Part, told: str
+) -> None:
+    with pytest.raises(TFLabError, match=told):
+        functions.add(part)
+
+
+def test_what_a_setting_shapes_is_one_of_three() -> None:
+    with pytest.raises(TFLabError, match=r"shapes='weight': .* weights, scores, nothing"):
+        setting(1, "layers", shapes="weight")  # type: ignore[arg-type]
 
 
 def test_two_parts_of_a_name(functions: Registry[Part]) -> None:

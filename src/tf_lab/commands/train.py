@@ -12,7 +12,7 @@ import lightning as L
 import torch
 
 from tf_lab.commands.inputs import trained_size
-from tf_lab.config.build import capture_settings, check_network, ready
+from tf_lab.config.build import capture_settings, check_network, check_test, ready
 from tf_lab.config.schema import TrainConfig
 from tf_lab.config.stored import portable_config, write_config
 from tf_lab.data.sources.source import open_source
@@ -49,6 +49,7 @@ def run(config: TrainConfig) -> None:
     torch.set_float32_matmul_precision("high")
     # what is wrong with any setting is told before data is made
     check_network(config)
+    check_test(config)
     _ = config.training.chunk
     capture_settings(config)
     config = identified(config)

@@ -9,6 +9,7 @@ import torch
 
 from tf_lab.config.groups import OnlineSettings
 from tf_lab.config.schema import CaptureConfig, NetworkSettings, TrainConfig
+from tf_lab.evaluation.registry import METRICS
 from tf_lab.network.checkpoint import shipped_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.settings import EncoderSettings
@@ -16,6 +17,7 @@ from tf_lab.network.encoders.weights import load_encoder_weights
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.online.views import make_policy
 from tf_lab.support.devices import device_of
 from tf_lab.support.memory import check_memory
 
@@ -55,6 +57,17 @@ def check_network(config: NetworkSettings) -> None:
         TRAINED_BYTES * weights,
         "give smaller ones",
     )
+
+
+def check_test(config: TrainConfig) -> None:
+    """That what a test is made with can be: the policy of view selection, the metrics.
+
+    Raises:
+        TFLabError: it cannot be imported or made.
+    """
+    make_policy(config.select, config.seed)
+    for metric in config.metrics.values():
+        METRICS.named(metric).load()
 
 
 def initialise_encoder(encoder: Encoder, settings: EncoderSettings, model: str) -> None:

@@ -117,6 +117,7 @@ def import_capture(
     original: Capture | None = None,
     digest: str | None = None,
     check: bool = True,
+    name: str | None = None,
 ) -> None:
     """Write a capture as a scene with ground truth (not atomic: give a temporary directory).
 
@@ -131,6 +132,7 @@ def import_capture(
         original: the capture, if it is open already.
         digest: of its sources, for the scene's provenance.
         check: whether to look for cameras that are clearly wrong.
+        name: of the scene; None: the capture's.
 
     Raises:
         TFLabError: nothing usable is left.
@@ -150,7 +152,7 @@ def import_capture(
         directory,
         _frames(capture, settings.keyframe_distance, skipped),
         provenance,
-        capture.name,
+        name or capture.name,
         skipped,
         capture.source_T_world,
     )
@@ -289,7 +291,8 @@ def make_scene(
     directory = place / sources.digest
     if not directory.is_dir():
         with atomic_directory(directory) as temporary:
-            import_capture(temporary, source, settings, memory, capture, sources.digest, check)
+            digest, name = sources.digest, place.name  # of two links to a `seq-01` each its own
+            import_capture(temporary, source, settings, memory, capture, digest, check, name)
             if not (before.stamps.items() <= sources.stamps.items() and sources.unchanged(source)):
                 raise TFLabError(f"{source}: changed while it was read; prepare it again")
     sources.write(place)

@@ -121,6 +121,11 @@ class Scene:
 
     def __init__(self, directory: Path | str) -> None:
         self.directory = Path(directory)
+        if self.directory.is_dir() and not (self.directory / "cameras.npz").exists():
+            raise TFLabError(
+                f"{self.directory}: no scene that tf_lab prepared; a capture is opened by "
+                "`tf_lab.open_capture`, and given as input="
+            )
         try:
             meta = read_record(Description, self.directory / "scene.json", CURE)
             if meta.format != FORMAT:

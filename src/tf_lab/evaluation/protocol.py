@@ -26,6 +26,8 @@ from tf_lab.support.arrays import read_array
 from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.text import read_numbers
 
+MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")
+
 PROTOCOL = "transformerfusion"
 LAYOUT = "the published layout needs it"
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
@@ -104,7 +106,13 @@ def evaluate_scene(
 
 
 def compared(mesh: trimesh.Trimesh | None, truth: GroundTruth, seed: int = 0) -> Comparison | None:
-    """A prediction beside the ground truth; None if it is missing or empty."""
+    """A prediction beside the ground truth; None if it is missing or empty.
+
+    Raises:
+        TFLabError: a vertex is no number.
+    """
+    if mesh is not None and not np.isfinite(mesh.vertices).all():
+        raise TFLabError("the predicted mesh: a vertex is NaN or infinite; remove such vertices")
     points, faces = samples(mesh, seed)
     if len(points) == 0:
         return None
@@ -129,11 +137,17 @@ def samples(mesh: trimesh.Trimesh | None, seed: int = 0) -> tuple[np.ndarray, np
 
 def is_point_cloud(mesh: trimesh.Trimesh) -> bool:
     """Whether there are points, but no surface."""
-    return len(mesh.vertices) > 0 and len(mesh.faces) == 0
+    return len(mesh.vertices) > 0 and len(getattr(mesh, "faces", ())) == 0
 
 
 def _read_prediction(path: Path) -> trimesh.Trimesh | None:
     return read_mesh(path) if path.exists() else None
+
+
+def _other_file(predictions: Path, name: str) -> Path | None:
+    """A file of a scene's name in another format."""
+    found = (path for path in sorted(predictions.iterdir()) if path.is_file())
+    return next((p for p in found if p.stem == name and p.suffix.lower() in MESHES), None)
 
 
 def wrong_scale(points: np.ndarray, truth: np.ndarray) -> str | None:
@@ -199,6 +213,8 @@ def evaluate(
         try:
             truth = read_groundtruth(groundtruth / name)
             mesh = _read_prediction(predictions / f"{name}.ply")
+            if mesh is None and (other := _other_file(predictions, name)):
+                raise TFLabError(f"{other}: predictions are read from {name}.ply; convert it")
             found = compared(mesh, truth, seed)
             scenes[name] = score(found, metrics)
             if mesh is not None and is_point_cloud(mesh):

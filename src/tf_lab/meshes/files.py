@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     except OSError as error:
         raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
     try:
-        loaded = trimesh.load(path, file_type="ply", process=False)
+        loaded = trimesh.load(BytesIO(content), file_type="ply", process=False)  # no textures
     except Exception as error:  # trimesh raises whatever the damage leads to
         raise TFLabError(
             f"{path}: not a readable PLY mesh ({error}); write it again, of triangles alone"

@@ -61,6 +61,8 @@ def check_camera(K: Tensor, world_T_cam: Tensor, size: tuple[int, int]) -> None:
         )
     if K.shape != (3, 3) or not K.isfinite().all():
         raise TFLabError("intrinsics that are not 3x3 finite numbers")
+    if K[1, 0] != 0 or K[2].tolist() != [0, 0, 1]:  # transposed, say
+        raise TFLabError(f"intrinsics {K.tolist()} that are not fx s cx / 0 fy cy / 0 0 1")
     if not (0 <= K[0, 2] < size[0] and 0 <= K[1, 2] < size[1]):
         raise TFLabError(
             f"a principal point ({K[0, 2]:g}, {K[1, 2]:g}) outside of the {size[0]}x{size[1]} "

@@ -116,15 +116,15 @@ def _with_best(
     scores = [i for i, column in enumerate(columns) if column.key == "fscore"]
 
     def found(row: Row) -> bool:
-        texts = [_printed(row[i]) for i in scores]
-        return all(text is None or float(text) > 0 for text in texts)
+        values = [_value(row[i]) for i in scores]
+        return all(value is None or value > 0 for value in values)
 
     best: list[str | None] = []
     for i, column in enumerate(columns):
-        texts = [_printed(row[i]) for group in body for row in group if found(row)]
-        shown = [text for text in texts if text]
+        cells = [row[i] for group in body for row in group if found(row)]
+        shown = {_printed(cell): value for cell in cells if (value := _value(cell)) is not None}
         pick = {"down": min, "up": max}.get(column.better)
-        best.append(pick(shown, key=float) if pick and len({*shown}) > 1 else None)
+        best.append(pick(shown, key=shown.__getitem__) if pick and len(shown) > 1 else None)
 
     def marked(row: Row) -> Row:
         if not found(row):
@@ -142,6 +142,10 @@ def _with_best(
 def _printed(cell: Cell) -> str | None:
     """The number of a cell as it is printed, without its deviation; None: it has none."""
     return (cell.parts()[0] or None) if isinstance(cell, Number) else None
+
+
+def _value(cell: Cell) -> float | None:
+    return cell.value if isinstance(cell, Number) and cell.parts()[0] else None
 
 
 def comparison_table(study: Study) -> Table:

@@ -15,8 +15,9 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.metadata
+import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Generic, TypeVar
 
 from tf_lab.errors import TFLabError
@@ -79,14 +80,33 @@ class Registry(Generic[P]):
         """Register a part.
 
         Raises:
-            TFLabError: another part has its name.
+            TFLabError: another part has its name, its name is none for a command line, or its
+                settings are not made as `tf_lab.support.settings` says.
         """
+        self._check(part)
         known = self._parts.setdefault(part.name, part)
         if known != part:
             raise TFLabError(
                 f"{self.group}={part.name}: both {known.target} and {part.target} are called so; "
                 "rename one"
             )
+
+    def _check(self, part: P) -> None:
+        kind, who = part.settings, f"{self.group}={part.name}"
+        if not re.fullmatch(r"\w+", part.name):
+            raise TFLabError(f"{who}: name it by letters, digits and _ alone")
+        if not is_dataclass(kind):
+            raise TFLabError(f"{who}: {kind.__name__} is no dataclass of settings")
+        plain = [field.name for field in fields(kind) if "shapes" not in field.metadata]
+        if plain:
+            raise TFLabError(
+                f"{who}: {kind.__name__}.{plain[0]} is to be made by setting(), which says what "
+                "it shapes: runs are told apart by that"
+            )
+        named = [field.default for field in fields(kind) if field.name == self.key]
+        if named not in ([part.name], [MISSING]):
+            is_now = f"is {named[0]!r} by default" if named else "is missing"
+            raise TFLabError(f"{who}: {kind.__name__}.{self.key} {is_now}; make it {part.name!r}")
 
     def __iter__(self) -> Iterator[P]:
         """All parts, those of other packages last."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
-from typing import Any, Literal, get_type_hints
+from typing import Any, Literal, get_args, get_type_hints
 
 from tf_lab.errors import TFLabError
 from tf_lab.support.records import record
@@ -79,7 +79,12 @@ def setting(
         least: the smallest that its numbers, or those in it, may be; see `check_ranges`.
         above: what they must be more than.
         most: the largest that they may be.
+
+    Raises:
+        TFLabError: it shapes nothing that there is.
     """
+    if shapes not in get_args(Shapes):
+        raise TFLabError(f"shapes={shapes!r}: a setting shapes {', '.join(get_args(Shapes))}")
     metadata = {"about": about, "shapes": shapes, "kind": kind, "several": several}
     metadata["absent"] = absent
     metadata["range"] = Range(least, above, most)

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from tf_lab.data.scene import Scene
+from tf_lab.errors import TFLabError
 from tf_lab.evaluation.collection import scene_means
 from tf_lab.evaluation.protocol import compared, read_groundtruth
 from tf_lab.evaluation.registry import METRICS, with_paper
@@ -105,6 +106,11 @@ class SceneEvaluation(L.LightningModule):
             return None
         assert self.run is not None
         scene, code = Scene(directory), code_version()
+        if scene.name in self.results:
+            raise TFLabError(
+                f"{directory}: a second test scene that calls itself {scene.name}; remove that "
+                "folder and prepare it again"
+            )
         kept = kept_scene(self.run, scene.name, code)
         if kept is None:
             result, scores, seconds = self._score(scene)

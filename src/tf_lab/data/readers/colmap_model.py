@@ -6,6 +6,7 @@ held against the file's size before anything is read by it.
 
 from __future__ import annotations
 
+import codecs
 import mmap
 import struct
 from collections.abc import Iterator
@@ -133,7 +134,9 @@ def _camera(model: str, size: tuple[int, int], values: tuple[float, ...]) -> Cam
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """The numbered lines of a text that may be large."""
-    with path.open(encoding="utf-8") as file:
+    with path.open("rb") as file:
+        wide = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # Windows' editors
+    with path.open(encoding="utf-16" if wide else "utf-8-sig") as file:
         number = 0
         while line := file.readline(MAX_LINE):
             number += 1

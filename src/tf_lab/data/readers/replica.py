@@ -61,7 +61,8 @@ def read(directory: Path) -> SourceCapture:
 
 
 def _parameters_file(directory: Path) -> Path:
-    places = (directory / PARAMETERS, directory.resolve().parent / PARAMETERS)
+    folders = (directory, directory.parent, directory.resolve().parent)
+    places = [folder / PARAMETERS for folder in folders]
     return next((place for place in places if place.is_file()), places[0])
 
 

@@ -153,7 +153,8 @@ def _camera(directory: Path, size: tuple[int, int]) -> Camera:
         if (directory / name).exists():
             return read_intrinsics(directory / name, size)
     cure = f"write {INTRINSICS[0]} with fx 0 cx / 0 fy cy / 0 0 1"
-    known = re.search("|".join(_CALIBRATIONS), directory.resolve().name)
+    names = f"{directory.name} {directory.resolve().name}"  # a link's, and of what it leads to
+    known = re.search("|".join(_CALIBRATIONS), names)
     if known is None:
         raise TFLabError(
             f"{directory}: its camera is unknown: no {' or '.join(INTRINSICS)} in it, and no "

@@ -8,13 +8,14 @@ Tests run every registered strategy through them. For one of your own::
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from tf_lab.network.fusion import make_fusion
+from tf_lab.network.fusion import FUSIONS, make_fusion
 from tf_lab.network.fusion.strategy import Fusion
 
 D, K, HEADS, POINTS = 16, 6, 4, 12
@@ -132,6 +133,12 @@ def half_precision_is_near(settings: Any) -> None:
     assert_close(fused.float(), expected, atol=0.3, rtol=0.1)
 
 
+def its_settings_shape_weights(settings: Any) -> None:
+    """Of other values it is another training, not one that is reused."""
+    for field in fields(FUSIONS.settings(settings)):
+        assert field.metadata["shapes"] == "weights", f'{field.name}: shapes="weights" is missing'
+
+
 CHECKS = (
     weights_are_shares,
     leading_shapes_are_any,
@@ -140,4 +147,5 @@ CHECKS = (
     voxels_without_views_stay_finite,
     a_view_is_ranked_by_itself,
     half_precision_is_near,
+    its_settings_shape_weights,
 )

@@ -8,12 +8,13 @@ Tests run every registered policy through them. For one of your own::
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from tf_lab.online.views import make_policy
+from tf_lab.online.views import POLICIES, make_policy
 from tf_lab.online.views.batch import BatchSelection
 from tf_lab.online.views.selection import Candidates, SelectionPolicy
 from tf_lab.online.views.store import ViewStore
@@ -115,9 +116,16 @@ def frames_that_see_nothing_say_nothing(settings: Any) -> None:
     assert torch.equal(again[filled], kept[filled])
 
 
+def its_settings_shape_scores(settings: Any) -> None:
+    """Of other values it is another evaluation, not one that is reused."""
+    for field in fields(POLICIES.settings(settings)):
+        assert field.metadata["shapes"] == "scores", f'{field.name}: shapes="scores" is missing'
+
+
 CHECKS = (
     it_is_of_its_seed,
     it_drops_one_of_the_candidates,
     training_keeps_what_the_store_keeps,
     frames_that_see_nothing_say_nothing,
+    its_settings_shape_scores,
 )
