@@ -121,7 +121,8 @@ class Scene:
 
     def __init__(self, directory: Path | str) -> None:
         self.directory = Path(directory)
-        if self.directory.is_dir() and not (self.directory / "cameras.npz").exists():
+        parts = [self.directory / name for name in ("scene.json", "cameras.npz")]
+        if self.directory.is_dir() and not any(part.exists() for part in parts):
             raise TFLabError(
                 f"{self.directory}: no scene that tf_lab prepared; a capture is opened by "
                 "`tf_lab.open_capture`, and given as input="

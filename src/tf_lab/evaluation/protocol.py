@@ -26,10 +26,9 @@ from tf_lab.support.arrays import read_array
 from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.text import read_numbers
 
-MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")
-
 PROTOCOL = "transformerfusion"
 LAYOUT = "the published layout needs it"
+MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")  # what others write
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
 CLEAR = 2.5  # a factor between the sizes of prediction and ground truth that nobody means
 UNITS = {1000: "millimetres", 100: "centimetres", 39.37: "inches", 3.28: "feet"}  # in a metre

@@ -161,6 +161,7 @@ class Reconstructor:
             return
         self._begin()
         self._broken = True  # until all frames were seen
+        self.frames.truncate(len(self.frames))  # without maps that were half loaded
         with self.precision():
             for frame in range(len(self.frames)):
                 self.see(frame)
