@@ -124,7 +124,7 @@ class Scene:
         parts = [self.directory / name for name in ("scene.json", "cameras.npz")]
         if self.directory.is_dir() and not any(part.exists() for part in parts):
             raise TFLabError(
-                f"{self.directory}: no scene that tf_lab prepared; a capture is opened by "
+                f"{self.directory}: no scene.json of a prepared scene; a capture is opened by "
                 "`tf_lab.open_capture`, and given as input="
             )
         try:
