@@ -103,6 +103,13 @@ def stored(run: Path) -> dict[str, Any]:
     return json.loads((run / "metrics.json").read_text())
 
 
+def test_scenes_of_one_name_are_refused_not_mixed(evaluate: Evaluate, scenes: list[Path]) -> None:
+    meta = (scenes[0] / "scene.json").read_text()
+    (scenes[1] / "scene.json").write_text(meta)
+    with pytest.raises(TFLabError, match="room1: a second test scene that calls itself room0"):
+        evaluate("same", 2, devices=1)
+
+
 def test_the_bar_says_where_in_a_scene_the_work_is(
     evaluate: Evaluate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
