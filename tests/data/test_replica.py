@@ -46,6 +46,15 @@ def test_the_camera_beside_the_scenes_or_in_one(scene: Path, tmp_path: Path) -> 
         open_capture(scene)
 
 
+def test_the_camera_beside_a_link(scene: Path, tmp_path: Path) -> None:
+    expected = replica.read(scene).K
+    links = tmp_path / "links"
+    links.mkdir()
+    (links / "room0").symlink_to(scene)
+    (scene.parent / "cam_params.json").rename(links / "cam_params.json")
+    np.testing.assert_array_equal(open_capture(links / "room0").K, expected)
+
+
 @pytest.mark.parametrize("camera", [None, {"scale": 0}, {"scale": "x"}, {"fx": -1}, {"w": None}])
 def test_a_camera_that_is_none(scene: Path, camera: dict[str, Any] | None) -> None:
     file = scene.parent / "cam_params.json"
