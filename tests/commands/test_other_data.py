@@ -23,6 +23,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import run_directory, training_directory
 from tf_lab.support.headers import read_info
 
+TESTED = ("data.root", "data.test", "optimizer.steps")
 OF_ROOMS = ("data.size", "data.val_size", "data.test_size", "data.frames", "data.test_frames")
 SETTINGS = (
     *(word for word in TINY if word.partition("=")[0] not in OF_ROOMS),
@@ -208,6 +209,49 @@ def test_what_cannot_be_made_anew_is_not_used_as_it_was(root: Path) -> None:
     (root / "kitchen" / "poses.txt").write_text("1 2 3")
     with pytest.raises(TFLabError, match="none of the train scenes can be prepared"):
         of_root(root)
+
+
+def test_a_test_on_other_data(root: Path, tmp_path: Path) -> None:
+    """It scores as a training of no steps of the same weights does on that data."""
+    write(tmp_path / "b" / "hall", 4, 12)
+    output = f"output={tmp_path / 'outputs'}"
+    elsewhere = (f"test_on.root={tmp_path / 'b'}", "test_on.test=[hall]")
+    distance = "test_on.keyframe_distance=0"
+    first = call("train", *arguments(root), "test_on=captures", *elsewhere, distance, output)
+    assert first.status == 0, first.err
+    training, run = first.path("training"), first.path("run")
+    origin = json.loads((run / "run.json").read_text())
+    assert [*origin["scenes"]] == ["hall"]
+    assert [*origin["training"]["scenes"]] == ["kitchen"]
+
+    there = (f"data.root={tmp_path / 'b'}", "data.test=[hall]", "optimizer.steps=0")
+    words = [word for word in arguments(root) if word.partition("=")[0] not in TESTED]
+    by_init = call("train", *words, *there, f"init={training}", output)
+    assert by_init.status == 0, by_init.err
+    metrics = [json.loads((r.path("run") / "metrics.json").read_text()) for r in (first, by_init)]
+    assert metrics[0]["scenes"] == metrics[1]["scenes"]
+    taken = read_info(by_init.path("training") / "model.safetensors")["training"]
+    assert taken["init"]["scenes"] == origin["training"]["scenes"]
+    assert taken["init"]["command"] == origin["training"]["command"]
+
+    own = call("train", *arguments(root), output)  # the same training on its own test scene
+    assert "reusing the identical finished training" in own.out
+    assert own.path("run") != run
+    assert call("runs", "show", run.name, output).status == 0
+    swap_poses(tmp_path / "b" / "hall")
+    again = call("train", *arguments(root), "test_on=captures", *elsewhere, distance, output)
+    assert again.path("run") != run
+
+
+def test_what_is_trained_on_is_not_tested_on(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root / "kitchen", tmp_path / "b" / "other")
+    words = ("test_on=captures", f"test_on.root={tmp_path / 'b'}", "test_on.test=[other]")
+    with pytest.raises(TFLabError, match=r"test_on: other is trained on, too \(kitchen of data="):
+        of_root(root, *words)
+    with pytest.raises(TFLabError, match=r"test_on\.test: there is no|test_on\.test.*hall"):
+        of_root(root, *words[:2], "test_on.test=[hall]")
+    with pytest.raises(TFLabError, match=r"test_on\.root=.*nowhere: no such folder"):
+        of_root(root, "test_on=captures", f"test_on.root={tmp_path / 'nowhere'}")
 
 
 def test_the_train_command_on_two_roots(root: Path, tmp_path: Path) -> None:

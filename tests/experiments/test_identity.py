@@ -48,7 +48,7 @@ def leaves(config: dict[str, Any], prefix: str = "") -> Iterator[str]:
     for key, value in config.items():
         if isinstance(value, dict) and value:
             yield from leaves(value, f"{prefix}{key}.")
-        elif not prefix.startswith("content"):
+        elif not prefix.startswith("content") and key != "test_on":  # a choice
             yield f"{prefix}{key}"
 
 
@@ -244,6 +244,38 @@ def test_test_scenes_are_known_by_their_content() -> None:
     assert keys(here) == keys(there)
     assert keys(here)[0] == keys(others)[0]
     assert keys(here)[1] != keys(others)[1]
+
+
+def test_a_training_is_the_same_whatever_it_is_tested_on() -> None:
+    rooms, flats, more = (
+        composed(*words.split())
+        for words in ("", "test_on=flats", "test_on=flats test_on.test_size=9")
+    )
+    assert keys(rooms)[0] == keys(flats)[0] == keys(more)[0]
+    assert len({keys(config)[1] for config in (rooms, flats, more)}) == 3
+    assert keys(composed("test_on=flats", "test_on.width=80"))[1] != keys(flats)[1]
+    unused = composed("test_on=flats", "data.test_size=9")  # which is of no use then
+    assert keys(unused) == keys(flats)
+    assert "flats" in evaluation_identity(flats)["data"].values()
+
+
+def test_images_that_are_tested_on_are_of_the_size_trained_on() -> None:
+    words = ("data.width=64", "data.height=48", "test_on=captures", "test_on.root=here")
+    tested = composed(*words).tested
+    assert (tested.name, tested.width, tested.height) == ("captures", 64, 48)
+    assert composed(*words, "test_on.width=80").tested.width == 80
+    assert composed().tested is not None
+
+
+@pytest.mark.parametrize("portable", [False, True])
+def test_what_it_is_tested_on_is_written_and_read_again(portable: bool, tmp_path: Path) -> None:
+    words = ("test_on=captures", "test_on.root=/r", "test_on.test=[a]", "test_on.turn=90")
+    config = composed(*words)
+    write_config(config, tmp_path / "config.yaml", portable)
+    again = read_config(tmp_path / "config.yaml")
+    assert keys(again) == keys(config)
+    assert again.tested.root == ("" if portable else "/r")
+    assert (again.tested.turn, [*again.tested.test]) == (90, ["a"])
 
 
 def test_directories_lie_in_the_output_and_say_what_they_are() -> None:

@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
 from tf_lab.cli.help import FOUND_OUT, also, is_within
-from tf_lab.config.schema import PARTS
+from tf_lab.config.schema import GROUPS, PARTS
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.experiments.launcher import JOB, task_overrides
@@ -148,8 +148,7 @@ def explain(
 
 def _choices(overrides: Sequence[str], conf: Path) -> list[str]:
     """The overrides that choose one option of a group, on which the settings depend."""
-    groups = {path.name for path in conf.iterdir() if path.is_dir()}
-    groups |= {each.group for each in PARTS}
+    groups = {*GROUPS, *(path.name for path in conf.iterdir() if path.is_dir())}
     return [word for word in overrides if re.fullmatch(rf"({'|'.join(groups)})=\w+", word)]
 
 

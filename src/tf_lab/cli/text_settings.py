@@ -16,7 +16,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-from tf_lab.config.schema import PARTS
+from tf_lab.config.schema import GROUPS
 from tf_lab.config.typed import literal
 from tf_lab.errors import TFLabError
 
@@ -50,10 +50,10 @@ def _fields(schema: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any]]]:
             yield from _fields(kind, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", field
-    for parts in PARTS if not prefix else ():
-        if any(field.name == parts.group for field in fields(schema)):
+    for group, parts in GROUPS.items() if not prefix else ():
+        if any(field.name == group for field in fields(schema)):
             for part in parts:
-                yield from _fields(part.settings, f"{parts.group}.")
+                yield from _fields(part.settings, f"{group}.")
 
 
 def _is_text(field: Field[Any]) -> bool:

@@ -65,7 +65,7 @@ def of_run(config: C, directory: Path) -> tuple[C, dict[str, Scene]]:
         raise TFLabError(f"scene={config.scene}: {directory} has {', '.join(run.scenes)}")
     checkpoint = config.checkpoint or _own_checkpoint(directory, run)
     several = checkpoint if isinstance(checkpoint, list) else [checkpoint]
-    source, digests = open_source(run.config.data), run.makers[0].get("scenes", {})
+    source, digests = open_source(run.config.tested), run.makers[0].get("scenes", {})
     places = {name: source.directory(name, digests.get(name)) for name in chosen}
     there = {name: path for name, path in places.items() if path.exists()}
     for each in several:

@@ -106,18 +106,20 @@ def listing(output: Path) -> str:
     second = [["EVALUATION", "STATE", "COMMIT", "DATA", "STEPS", "F-SCORE", "ROW / SEED"]]
     for entry in runs:
         score = f"{entry.fscore:.3f}" if entry.fscore is not None else NOTHING
-        second.append([*_start(entry, NOTHING), score, entry.label])
+        second.append([*_start(entry, NOTHING, tested=True), score, entry.label])
     tables = {TRAININGS: aligned(first, "l"), RUNS: aligned(second, "l")}
     parts = [f"{output / name}:\n{table}" for name, table in tables.items()]
     wrong = [line for entry in (*trainings, *runs) for line in entry.problems]
     return "\n\n".join([*parts, *(["cannot be read:\n" + "\n".join(wrong)] if wrong else [])])
 
 
-def _start(entry: Entry, unknown: str = "") -> list[str]:
+def _start(entry: Entry, unknown: str = "", tested: bool = False) -> list[str]:
     state = entry.state + (f", {entry.user} works on it" if entry.user else "")
     makers = [o for o in (*sessions_of(entry.origin), entry.origin) if "commit" in o]
     config = entry.config
-    of = [config.data.name, str(config.optimizer.steps)] if config else [unknown, unknown]
+    of = [unknown, unknown]
+    if config:
+        of = [(config.tested if tested else config.data).name, str(config.optimizer.steps)]
     return [entry.directory.name, state, commits_of(makers) or unknown, *of]
 
 

@@ -7,15 +7,17 @@ import time
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 import torch
 
 from tf_lab.commands.inputs import trained_size
 from tf_lab.config.build import capture_settings, check_network, check_test, ready
-from tf_lab.config.schema import TrainConfig
+from tf_lab.config.schema import TEST_ON, TrainConfig
 from tf_lab.config.stored import portable_config, write_config
-from tf_lab.data.sources.source import open_source
+from tf_lab.data.sources.source import DataSource, open_source
+from tf_lab.data.sources.tested import content_of
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
@@ -25,6 +27,7 @@ from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.files import check_folder, write_json
+from tf_lab.support.headers import read_info
 from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, WEIGHTS
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.curves import loss_curve
@@ -59,9 +62,11 @@ def run(config: TrainConfig) -> None:
         print_reuse("evaluation", run)
     else:
         check_folder(Path(config.output))
-        tested = open_source(config.data, config.content).has("test")
+        source = _tested(config)
+        tested = source.has("test")
         if not tested and not is_helper():
-            print("no score will be made: there is no test scene (data.test, data.test_size)")
+            which = f"{source.group}.test, {source.group}.test_size"
+            print(f"no score will be made: there is no test scene ({which})")
         checkpoint = train(config)
         if tested:
             _evaluate_training(config, checkpoint)
@@ -85,7 +90,7 @@ def identified(config: TrainConfig) -> TrainConfig:
     Raises:
         TFLabError: the shards cannot be opened, the scenes not be made, or a file not be read.
     """
-    content = with_initial_digests(config, open_source(config.data).content())
+    content = with_initial_digests(config, content_of(config.data, config.test_on))
     if config.inputs.stereo:
         content = replace(content, stereo=stereo_identity())
     trainer = config.trainer
@@ -101,7 +106,7 @@ def finished(config: TrainConfig) -> Path | None:
     run, training = run_directory(config), training_directory(config)
     if read_metrics(run) is not None:
         return run
-    tested = open_source(config.data, config.content).has("test")
+    tested = _tested(config).has("test")
     return None if tested or not (training / WEIGHTS).exists() else training
 
 
@@ -120,7 +125,7 @@ def _evaluate_training(config: TrainConfig, checkpoint: Path) -> None:
 
 def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     network, info = load_network(checkpoint)
-    scenes = [*open_source(config.data, config.content).scenes("test")["test"].values()]
+    scenes = [*_tested(config).scenes("test")["test"].values()]
     if not is_helper():
         write_config(config, run / CONFIG)
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
@@ -187,7 +192,7 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     if trainer.is_global_zero:
         if logs := sorted(directory.glob("logs/version_*/metrics.csv")):
             loss_curve(logs, directory / "loss.png")
-        origin = {**sessions.summary(), **_scenes(config, "train")}
+        origin = {**sessions.summary(), **_scenes(config, "train"), **_init(config)}
         info = {"training": {**origin, "config": portable_config(config)}}
         save_network(network, checkpoint, info)
 
@@ -203,7 +208,7 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         sessions = TrainingSessions()
         write_config(config, directory / CONFIG)
         write_json(directory / ORIGIN, sessions.origin)
-        info = {**sessions.summary(), "config": portable_config(config)}
+        info = {**sessions.summary(), **_init(config), "config": portable_config(config)}
         save_network(network, checkpoint, {"training": info})
 
 
@@ -230,6 +235,21 @@ def _start(config: TrainConfig, directory: Path) -> Path | None:
     elif not config.init:
         state = earlier_state(config, directory)
     return state
+
+
+def _init(config: TrainConfig) -> dict[str, Any]:
+    """Where the weights come from that a training starts from, as far as they say."""
+    path = initial_path(config)
+    if path is None or initial_state(config):  # which has its own sessions with it
+        return {}
+    origin = read_info(path).get("training", {})
+    return {"init": {name: value for name, value in origin.items() if name != "config"}}
+
+
+def _tested(config: TrainConfig) -> DataSource:
+    """The data whose test scenes are used, as they were when the run began."""
+    group = "data" if config.test_on is None else TEST_ON
+    return open_source(config.tested, config.content, group)
 
 
 def _scenes(config: TrainConfig, split: str) -> dict[str, dict[str, str]]:

@@ -12,7 +12,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.config.groups import InputSettings, TrainerSettings
-from tf_lab.config.schema import CONFIGS, PARTS
+from tf_lab.config.schema import CONFIGS, GROUPS, PARTS, TEST_ON
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.support.registry import Part
 
@@ -40,15 +40,25 @@ def _store(known: tuple[Part, ...]) -> None:
         store.store(group="schema", name=name, node=node_of(schema))
     for (group, option), settings in OPTIONS.items():
         store.store(group=group, name=option, node=node_of(settings))
-    for parts in PARTS:
+    for group, parts in GROUPS.items():
         for part in parts:
-            store.store(group=parts.group, name=part.choice, node=node_of(part.settings))
+            node = node_of(part.settings)
+            if group == TEST_ON:
+                _size_of_training(node)
+            store.store(group=group, name=part.choice, node=node)
     for part in METRICS:
         if part.name not in PAPER:  # those are always there
             node = node_of(part.settings)
             store.store(
                 group="metrics", name=part.choice, node=node, package=f"metrics.{part.name}"
             )
+
+
+def _size_of_training(node: DictConfig) -> None:
+    """Images that a network is tested on are of the size that it is trained on, unless given."""
+    for side in ("width", "height"):
+        if side in node:
+            node[side] = f"${{oc.select:data.{side},{node[side]}}}"
 
 
 def node_of(schema: type) -> DictConfig:

@@ -49,6 +49,9 @@ def check_figures(names: Sequence[str]) -> None:
 
 
 PARTS: tuple[Registry[Any], ...] = (SOURCES, ENCODERS, FUSIONS, POLICIES)
+TEST_ON = "test_on"
+GROUPS: dict[str, Registry[Any]] = {**{parts.group: parts for parts in PARTS}, TEST_ON: SOURCES}
+"""The groups that choose a part, and of which kind; of `TEST_ON` none need be chosen."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     """python -m tf_lab.train"""
 
     data: Any = MISSING
+    test_on: Any = setting(None, "test scenes of this data instead, of another choice or folder")
     select: Any = MISSING
     online: OnlineSettings = field(default_factory=OnlineSettings)
     optimizer: OptimizerSettings = MISSING
@@ -100,6 +104,11 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         {}, "beside the paper's, by name, with their settings", shapes="scores"
     )
     content: Content = field(default_factory=Content)
+
+    @property
+    def tested(self) -> Any:
+        """The data whose test scenes are reconstructed and scored."""
+        return self.data if self.test_on is None else self.test_on
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from omegaconf.errors import OmegaConfBaseException
 
-from tf_lab.config.schema import PARTS, TrainConfig
+from tf_lab.config.schema import GROUPS, TrainConfig
 from tf_lab.config.typed import literal, typed
 from tf_lab.errors import TFLabError
 from tf_lab.support.documents import read_yaml
@@ -89,11 +89,11 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _with_places(values: dict[str, Any]) -> dict[str, Any]:
     """The values with empty paths where a portable config has none."""
-    for parts in PARTS:
-        group = values[parts.group]
-        for field in fields(parts[group[parts.key]].settings):
+    for group, parts in GROUPS.items():
+        chosen = values.get(group) or {}
+        for field in fields(parts[chosen[parts.key]].settings) if chosen else ():
             if field.metadata.get("kind") == "path" and not field.metadata["several"]:
-                group.setdefault(field.name, "")
+                chosen.setdefault(field.name, "")
     return values
 
 

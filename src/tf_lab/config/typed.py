@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from tf_lab.config.registration import node_of
-from tf_lab.config.schema import PARTS
+from tf_lab.config.schema import GROUPS
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS
 from tf_lab.support.settings import check_ranges
@@ -28,15 +28,15 @@ def typed(schema: type[T], values: DictConfig | Mapping[str, Any]) -> T:
     """
     given = values if isinstance(values, DictConfig) else OmegaConf.create(dict(values))
     node = node_of(schema)
-    for parts in PARTS:
-        chosen = OmegaConf.select(given, parts.group, default=None)
+    for group, parts in GROUPS.items():
+        chosen = OmegaConf.select(given, group, default=None)
         if chosen is None:
             continue
         part, kind = parts[chosen[parts.key]], OmegaConf.get_type(chosen)
         if is_dataclass(kind) and kind is not part.settings:
-            there = f"{parts.group}.{parts.key}={part.name}"
-            raise TFLabError(f"{there}: choose it by {parts.group}={part.choice}")
-        node[parts.group] = node_of(part.settings)
+            there = f"{group}.{parts.key}={part.name}"
+            raise TFLabError(f"{there}: choose it by {group}={part.choice}")
+        node[group] = node_of(part.settings)
     for name in OmegaConf.select(given, "metrics", default=None) or {}:
         node["metrics"][name] = node_of(METRICS[name].settings)
     merged = OmegaConf.merge(node, given)

@@ -78,16 +78,20 @@ class PreparedCaptures:
     failed: dict[str, str]
 
 
-def find_captures(root: Path) -> dict[str, Path]:
+def find_captures(root: Path, what: str = "data.root") -> dict[str, Path]:
     """The captures in a folder, by name: its folders of a known layout, and its `.sens` files.
 
     Other files (videos, json) are part of a capture: the folder that they lie in.
+
+    Args:
+        root: the folder.
+        what: the setting that names it.
 
     Raises:
         TFLabError: there is none.
     """
     if not root.is_dir():
-        raise TFLabError(f"data.root={root}: no such folder; give the folder of the captures")
+        raise TFLabError(f"{what}={root}: no such folder; give the folder of the captures")
     found: dict[str, Path] = {}
     for path in sorted(root.iterdir(), key=lambda path: (path.is_file(), path)):
         if path.name.startswith(".") or (path.is_file() and path.suffix.lower() != ".sens"):
@@ -105,7 +109,7 @@ def find_captures(root: Path) -> dict[str, Path]:
             if inner is None
             else f"the folder that holds them is {inner.resolve().parent}"
         )
-        raise TFLabError(f"data.root={root}: no capture in it; {cure}")
+        raise TFLabError(f"{what}={root}: no capture in it; {cure}")
     return found
 
 

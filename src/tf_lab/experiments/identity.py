@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ WATCHING = tuple(  # callbacks that change nothing
 
 def training_identity(config: TrainConfig) -> dict[str, Any]:
     """What shapes the weights."""
-    identity = shaping(config, "weights")
+    identity = shaping(replace(config, test_on=None), "weights")
     if config.content.encoder is not None:  # a file: known by what is in it
         del identity["encoder"]["weights"]
     if config.content.shards is not None:  # of which each loader process reads a part
@@ -40,7 +40,12 @@ def training_identity(config: TrainConfig) -> dict[str, Any]:
 
 def evaluation_identity(config: TrainConfig) -> dict[str, Any]:
     """What shapes the scores, given the training."""
-    return shaping(config, "scores")
+    identity = shaping(replace(config, test_on=None), "scores")
+    if config.test_on is None:
+        return identity
+    # of other data all that shapes its scenes, of the training's nothing
+    tested = {**shaping(config.test_on, "weights"), **shaping(config.test_on, "scores")}
+    return {**identity, "data": tested}
 
 
 def key_of(*identity: Any) -> str:

@@ -27,6 +27,7 @@ class Origin(TypedDict, total=False):
     checkpoint: str
     scenes: dict[str, str]
     training: Origin
+    init: dict[str, Any]  # of the weights that a training starts from, as their file says it
     sessions: list[Origin]
     sittings: list[Origin]  # as older versions called them
 

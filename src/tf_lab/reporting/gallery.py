@@ -61,12 +61,12 @@ def draw_pictures(study: Study, folder: Path, size: tuple[int, int] = (400, 300)
 
 def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
     """The ground truth of a run's test scene, if it is on this machine."""
-    if not run.config.data.root:  # a kept copy
+    if not run.config.tested.root:  # a kept copy
         return None
     from tf_lab.data.sources.source import open_source  # imports torch
 
     digest = run.makers[0].get("scenes", {}).get(scene)
-    directory = open_source(run.config.data).directory(scene, digest)
+    directory = open_source(run.config.tested).directory(scene, digest)
     path = directory / "groundtruth" / GROUNDTRUTH_MESH
     return read_mesh(path) if path.exists() else None
 

@@ -74,9 +74,11 @@ def _captioned(table: Table) -> str:
 def describe(study: Study) -> str:
     """What was run, in a few words."""
     s = study.settings
+    elsewhere = s.get("test.data.name")  # test_on=
+    data = f"data={s['data.name']}" + (f" test_on={elsewhere}" if elsewhere else "")
     text = (
         f"Study {study.key}: {len(study.runs)} runs of {len(study.rows)} rows, seeds "
-        f"{', '.join(map(str, study.seeds()))}; data={s['data.name']}, model={s['model.name']}, "
+        f"{', '.join(map(str, study.seeds()))}; {data}, model={s['model.name']}, "
         f"{s['optimizer.steps']} steps; {len(study.scenes)} test scenes, "
         f"meshed at {100 * s['test.resolution']:g} cm."
     )

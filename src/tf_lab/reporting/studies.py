@@ -142,7 +142,7 @@ def group(runs: Iterable[Run]) -> list[Study]:
         for run in sorted(members, key=lambda run: run.finished):
             older = chosen.get((run.row, run.seed))
             copied = older is not None and older.scenes == run.scenes
-            if copied and not run.config.data.root:  # kept without its meshes
+            if copied and not run.config.tested.root:  # kept without its meshes
                 continue
             chosen[run.row, run.seed] = run
             replaced.discard((run.row, run.config.content.init))  # tested again since

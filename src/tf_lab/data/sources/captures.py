@@ -81,16 +81,16 @@ class PreparedSource(DataSource):
         scenes, made = self._prepared(splits)
         return self.usable(Prepared(scenes, made.failed))
 
-    def content(self) -> Content:
+    def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """See `DataSource`."""
-        shards = self.shards()
-        splits = SPLITS[1:] if shards else SPLITS
+        shards = self.shards() if "train" in splits else None
+        splits = [split for split in splits if split != "train" or not shards]
         scenes = self.scenes(*splits)
         table = {s: {name: path.name for name, path in scenes[s].items()} for s in splits}
         key = self.import_settings.key
         digest = {s: _digest([key, *table[s].items()]) for s in splits}
         versions = {"groundtruth": groundtruth.VERSION}
-        return Content(versions, digest.get("train"), digest["test"], shards, scenes=table)
+        return Content(versions, digest.get("train"), digest.get("test"), shards, scenes=table)
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
@@ -106,20 +106,22 @@ class CaptureSource(PreparedSource):
         """See `PreparedSource`."""
         s, found = self.settings, self._find()
         named = {"train": s.train or [], "val": s.val, "test": s.test}
-        names = {k: names_of(v or [], list(found), f"data.{k}") for k, v in named.items()}
+        names = {k: names_of(v or [], list(found), f"{self.group}.{k}") for k, v in named.items()}
         held_out = {*names["val"], *names["test"]}
         if s.train is None:
             names["train"] = [name for name in found if name not in held_out]
         shared = held_out.intersection(names["train"])
         if shared:
-            raise TFLabError(f"data.train: {min(shared)} is held out for val or test as well")
+            raise TFLabError(
+                f"{self.group}.train: {min(shared)} is held out for val or test as well"
+            )
         limit = {"train": s.size, "val": s.val_size, "test": s.test_size}
         return {k: {name: found[name] for name in names[k][: limit[k]]} for k in splits}
 
     def _find(self) -> dict[str, Path]:
         """The captures in the root; of a root without any, those that scenes were prepared of."""
         try:
-            return find_captures(self.root)
+            return find_captures(self.root, f"{self.group}.root")
         except TFLabError:
             found = {name: self.root / name for name in prepared_scenes(self.folder)}
             if not found:

@@ -55,6 +55,7 @@ def content_says_what_is_used(settings: Any) -> None:
     source = open_source(settings)
     content, scenes = source.content(), source.scenes("test")
     assert open_source(settings).content() == content
+    assert open_source(settings).content(("test",)).test == content.test
     known: DataSource = open_source(settings, content)
     assert known.scenes("test") == scenes
     for name, directory in scenes["test"].items():

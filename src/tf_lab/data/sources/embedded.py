@@ -17,7 +17,7 @@ from tf_lab.data.rooms import RoomSettings, generate_room, models
 from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
 from tf_lab.data.scene import Frame, write_scene
 from tf_lab.data.sources.scene_jobs import SceneJob, build_scenes
-from tf_lab.data.sources.settings import Content, EmbeddedData, FlatsData, RoomsData
+from tf_lab.data.sources.settings import SPLITS, Content, EmbeddedData, FlatsData, RoomsData
 from tf_lab.data.sources.source import ATTRIBUTION, DataSource, Prepared
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, file_name
@@ -142,14 +142,15 @@ class EmbeddedSource(DataSource):
         """See `DataSource`."""
         return self._size(split) > 0
 
-    def content(self) -> Content:
+    def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """See `DataSource`."""
         versions = {"groundtruth": groundtruth.VERSION, self.made.name: self.made.version}
-        furniture = self._furniture("train")
+        furniture = self._furniture("train") if "train" in splits else None
         if furniture is not None:
             versions["furniture"] = models.VERSION
         digest = None if furniture is None else furniture.digest
-        return Content(versions, shards=self.shards(), furniture=digest)
+        shards = self.shards() if "train" in splits else None
+        return Content(versions, shards=shards, furniture=digest)
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
@@ -209,10 +210,10 @@ class FlatSource(EmbeddedSource):
         """See `DataSource`."""
         return super().has(split) or (split == "train" and self.settings.rooms > 0)
 
-    def content(self) -> Content:
+    def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """See `DataSource`."""
-        content = super().content()
-        if not self.settings.rooms:
+        content = super().content(splits)
+        if "train" not in splits or not self.settings.rooms:
             return content
         return replace(content, versions={**content.versions, **self._rooms().content().versions})
 

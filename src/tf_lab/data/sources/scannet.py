@@ -39,7 +39,7 @@ class ScanNetSource(PreparedSource):
                 else:
                     missing.append(error)
         if names and not found:
-            raise TFLabError(f"data.root={self.root}: no {split} scene in it; {missing[0]}")
+            raise TFLabError(f"{self.group}.root={self.root}: no {split} scene in it; {missing[0]}")
         if missing:
             message = "%d of %d %s scenes are missing: %s"
             log.warning(message, len(missing), len(names), split, missing[0])

@@ -15,7 +15,7 @@ from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.shard_set import open_shards
 from tf_lab.data.shard_stream import ShardSource
 from tf_lab.data.sources import SOURCES
-from tf_lab.data.sources.settings import Content
+from tf_lab.data.sources.settings import SPLITS, Content
 from tf_lab.data.stereo_maps import prepare_stereo
 from tf_lab.errors import TFLabError
 
@@ -49,6 +49,8 @@ class DataSource(ABC):
         content: what was found in the data when the run began; then exactly that is used,
             whatever happens to the data meanwhile.
     """
+
+    group = "data"  # that the settings are of, for messages
 
     def __init__(self, settings: Any, content: Content | None = None) -> None:
         self.settings, self.known = settings, content or Content()
@@ -87,8 +89,11 @@ class DataSource(ABC):
         """
 
     @abstractmethod
-    def content(self) -> Content:
+    def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """What is in the data. Makes the scenes first where that says it.
+
+        Args:
+            splits: whose scenes are used; what is said of others does not matter.
 
         Raises:
             TFLabError: the scenes cannot be made, or the shards not be opened.
@@ -167,12 +172,19 @@ class DataSource(ABC):
         return ChunkSampler(scenes, settings, near, far, stereo)
 
 
-def open_source(settings: Any, content: Content | None = None) -> DataSource:
+def open_source(settings: Any, content: Content | None = None, group: str = "data") -> DataSource:
     """The data source of settings; arguments as of `DataSource`.
+
+    Args:
+        settings: see `DataSource`.
+        content: see `DataSource`.
+        group: of the config that the settings are; messages name it.
 
     Raises:
         TFLabError: shards without ``data.urls``.
     """
     if settings.name == "shards" and not settings.urls:
-        raise TFLabError("data.urls is missing; give the folder or the pattern of the shards")
-    return SOURCES.named(settings).load()(settings, content)
+        raise TFLabError(f"{group}.urls is missing; give the folder or the pattern of the shards")
+    source: DataSource = SOURCES.named(settings).load()(settings, content)
+    source.group = group
+    return source
