@@ -50,10 +50,11 @@ def validation_pairs(scenes: Sequence[Path | Capture], config: PretrainConfig) -
 def run(config: PretrainConfig) -> None:
     """Pre-train, validate on the val split, write the encoder with its provenance."""
     output, origin = Path(config.output), provenance()
-    if config.steps or config.like:
+    makes = config.steps > 0 or config.like is not None
+    if makes:
         check_file(output)
     L.seed_everything(config.seed, verbose=False)
-    needed = ("train", "val") if config.steps or config.like else ("val",)
+    needed = ("train", "val") if makes else ("val",)
     made: dict[str, dict[str, Path]] = {"train": {}, **open_source(config.data).scenes(*needed)}
     splits = {split: [*scenes.values()] for split, scenes in made.items()}
     encoder, trunk_factor = _encoder(config)

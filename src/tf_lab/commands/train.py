@@ -146,7 +146,7 @@ def train(config: TrainConfig) -> Path:
     checkpoint = directory / WEIGHTS
     with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
-            (_train if config.optimizer.steps else _take)(config, directory, checkpoint)
+            (_train if config.optimizer.steps > 0 else _take)(config, directory, checkpoint)
         elif not is_helper():
             print_reuse("training", directory)
     return checkpoint

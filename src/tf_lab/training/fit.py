@@ -244,7 +244,7 @@ def _trainer(
             max_steps=settings.steps,
             max_time=trainer.max_time,
             val_check_interval=batches or None,
-            limit_val_batches=1.0 if every else 0,
+            limit_val_batches=1.0 if every > 0 else 0,
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             gradient_clip_val=settings.clip or None,

@@ -92,7 +92,9 @@ def _mend(evidence: Evidence, factor: float, measured: float, scale: float | Non
     """Which of both is to be mended: that whose values no room has."""
     if abs(np.log(measured / USUAL)) <= abs(np.log(measured / factor / USUAL)):
         return f"scale={_round((scale or 1.0) * factor):g}"
-    stated = evidence.settings.depth_scale or _depth_scale(evidence)
+    stated = evidence.settings.depth_scale
+    if stated is None:
+        stated = _depth_scale(evidence)
     return "" if stated is None else f"depth_scale={_round(stated * factor):g}"
 
 

@@ -116,7 +116,8 @@ def judge(
     judgement = _Judgement()
     _judge_cameras(judgement, evidence, found, sensors)
     _judge_scale(judgement, scale)
-    if not (evidence.given.metric or evidence.settings.scale or scale.setting):
+    known = evidence.given.metric or evidence.settings.scale is not None
+    if not (known or scale.setting):
         judgement.add(
             DOUBTFUL,
             "the poses have no unit (structure from motion gives none), what is metres above is "

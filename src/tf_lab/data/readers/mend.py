@@ -132,7 +132,7 @@ def _mended_frame(frame: SourceFrame, settings: ReadSettings) -> SourceFrame:
     stored, rig = frame.camera, frame.color_T_depth
     if depth is not None and settings.depth_scale is not None:
         depth = _in_units(depth, settings.depth_scale)
-    if settings.turn:
+    if settings.turn != 0:
         color, stored = Turned(color, settings.turn), turned(stored, settings.turn)
         if depth is not None and _depth_turns(frame):
             depth = Turned(depth, settings.turn)
