@@ -19,11 +19,12 @@ from hydra.errors import CompactHydraException, HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from tf_lab.cli import overrides, text_settings
+from tf_lab.cli import overrides
 from tf_lab.cli.help import help_text
 from tf_lab.config.compose import conf_dir
 from tf_lab.config.registration import register
 from tf_lab.config.schema import CONFIGS
+from tf_lab.config.text_settings import Texts, quote_overrides
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.launcher import check_launcher, in_sweep, run_job
@@ -99,8 +100,7 @@ def _command_line(schema: type) -> argparse.Namespace:
         error(f"{' and '.join(asked)}: one of them at a time")
     if given.experimental_rerun is not None and not Path(given.experimental_rerun).is_file():
         error(f"--experimental-rerun {given.experimental_rerun}: no such file")
-    texts = text_settings.Texts.of(schema)
-    quoted = text_settings.quote_overrides(given.overrides, texts, overrides.is_sweep(given))
+    quoted = quote_overrides(given.overrides, Texts.of(schema), overrides.is_sweep(given))
     options = [word for word in sys.argv[1:] if word not in given.overrides]
     sys.argv = [sys.argv[0], *options, *(quoted.get(word, word) for word in given.overrides)]
     return parser.parse_args()

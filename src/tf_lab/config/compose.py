@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 
 from tf_lab.config.registration import register
 from tf_lab.config.schema import CONFIGS
+from tf_lab.config.text_settings import Texts, quote_overrides
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 
@@ -24,12 +25,17 @@ def conf_dir() -> Path:
 
 
 def compose_config(command: str, *overrides: str) -> Any:
-    """The typed config of a command with settings as on its command line."""
+    """The typed config of a command with settings as on its command line (without a shell).
+
+    Raises:
+        TFLabError: a text is empty, or a number out of its range.
+    """
     return typed(CONFIGS[command], compose_hydra(command, *overrides))
 
 
 def compose_hydra(command: str, *overrides: str) -> DictConfig:
     """The same as Hydra composes it."""
     register()
+    quoted = quote_overrides(overrides, Texts.of(CONFIGS[command]), sweeps=False)
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose(command, list(overrides))
+        return compose(command, [quoted[word] for word in overrides])

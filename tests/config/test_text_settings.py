@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from tf_lab.cli.text_settings import Texts, quote_overrides
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import CONFIGS, ReconstructConfig, ReportConfig, TrainConfig
+from tf_lab.config.text_settings import Texts, quote_overrides
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 
@@ -38,6 +38,7 @@ def of(config: Any, name: str) -> Any:
 @pytest.mark.parametrize("text", ODD)
 def test_as_it_stands(text: str) -> None:
     assert composed("reconstruct", f"input={text}").input == text
+    assert compose_config("reconstruct", f"input={text}").input == text  # as from Python
 
 
 @pytest.mark.parametrize(
