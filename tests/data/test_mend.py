@@ -1,6 +1,7 @@
 """What a source says wrongly, injected; the setting that says so gives the right capture back."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -270,3 +271,19 @@ def test_colour_images_are_not_touched(tmp_path: Path) -> None:
     capture = open_capture(folder, ReadSettings(gravity=DOWN, axes="opengl"))
     with Image.open(folder / "images" / "1.png") as image:
         np.testing.assert_array_equal(capture.image(1), np.asarray(image))
+
+
+def test_settings_take_numpys_values() -> None:
+    """As where a caller computes them; they are the same settings."""
+    of_numpy: dict[str, Any] = {
+        "scale": np.float32(0.5),
+        "depth_scale": np.int64(1000),
+        "turn": np.int64(90),
+        "principal": np.array([1.0, 2.0]),
+        "gravity": np.array([0, 0, -1.0]),
+    }
+    plain = ReadSettings(
+        scale=0.5, depth_scale=1000, turn=90, principal=(1.0, 2.0), gravity=(0, 0, -1)
+    )
+    assert ReadSettings(**of_numpy) == plain
+    assert json.dumps(asdict(ReadSettings(**of_numpy)))

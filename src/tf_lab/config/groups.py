@@ -9,7 +9,7 @@ from tf_lab.data.settings import ChunkSettings
 from tf_lab.errors import TFLabError
 from tf_lab.network.settings import MOST_FAR, NetworkSizes
 from tf_lab.online.views import POLICIES
-from tf_lab.support.settings import lists_to_tuples, setting
+from tf_lab.support.settings import plain_values, setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ class OptimizerSettings:
     )
 
     def __post_init__(self) -> None:
-        lists_to_tuples(self)
+        plain_values(self)
         if self.schedule not in SCHEDULES:
             raise TFLabError(
                 f"optimizer.schedule={self.schedule}: choose one of {', '.join(SCHEDULES)}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from tf_lab.errors import TFLabError
-from tf_lab.support.settings import lists_to_tuples, setting
+from tf_lab.support.settings import plain_values, setting
 
 POSES = ("camera_to_world", "world_to_camera")
 QUATERNIONS = ("wxyz", "xyzw")
@@ -96,7 +96,7 @@ class ReadSettings:
     )
 
     def __post_init__(self) -> None:
-        lists_to_tuples(self)
+        plain_values(self)
         if self.axes is not None and self.axes not in AXES and self.axes not in CODES:
             raise TFLabError(
                 f"axes={self.axes}: choose {', '.join(AXES)}, or say where x, y and z point, as in "

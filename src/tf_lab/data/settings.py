@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tf_lab.support.settings import lists_to_tuples, setting
+from tf_lab.support.settings import plain_values, setting
 
 MOST_SIDE = 32_000  # pixels; OpenCV's remap ends at 32767
 
@@ -66,7 +66,7 @@ class ChunkSettings:
     )
 
     def __post_init__(self) -> None:
-        lists_to_tuples(self)
+        plain_values(self)
 
 
 @dataclass(frozen=True)

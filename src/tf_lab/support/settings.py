@@ -173,8 +173,13 @@ def _check(allowed: Range, name: str, value: Any, items: Iterable[Any]) -> None:
             raise TFLabError(f"{name}={value}: must be 0 or from {SMALLEST} to {LARGEST} in size")
 
 
-def lists_to_tuples(settings: Any) -> None:
-    """Make a frozen dataclass' lists tuples, in ``__post_init__``: configs know only lists."""
+def plain_values(settings: Any) -> None:
+    """Make a frozen dataclass' lists, of which alone configs know, tuples, and numpy's values
+    Python's; for ``__post_init__``.
+    """
     for field in dataclasses.fields(settings):
-        if isinstance(value := getattr(settings, field.name), list):
-            object.__setattr__(settings, field.name, tuple(value))
+        given = getattr(settings, field.name)
+        value = given.tolist() if hasattr(given, "tolist") else given
+        value = tuple(value) if isinstance(value, list) else value
+        if value is not given:
+            object.__setattr__(settings, field.name, value)
