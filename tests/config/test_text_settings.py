@@ -54,6 +54,7 @@ def test_as_it_stands(text: str) -> None:
         ("report", "study", ()),
         ("benchmark", "output", ()),
         ("train", "data.furniture", ()),
+        ("train", "data.textures", ()),
         ("pretrain_stereo", "output", ()),
         ("pretrain_stereo", "real", ()),
         ("pretrain", "output", ()),

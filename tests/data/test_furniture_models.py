@@ -15,6 +15,7 @@ from PIL import Image
 
 from helpers.tiny_jobs import call
 from tf_lab.data.rooms import RoomSettings, generate_room, make_room
+from tf_lab.data.rooms.borrowed import Borrowed
 from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
 from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.materials import Textures, make_materials
@@ -327,8 +328,9 @@ def test_folders_without_furniture(tmp_path: Path, make: Callable[[Path], None],
 def test_a_room_with_models(catalogue: Catalogue) -> None:
     """Its shell stays; wardrobes are the model, within its walls; twice the same frames."""
     settings = RoomSettings(48, 36, 3, 1)
-    number = next(n for n in range(40) if make_room(n, catalogue).geometry.thin.any())
-    room, bare = make_room(number, catalogue), make_room(number)
+    borrowed = Borrowed(catalogue)
+    number = next(n for n in range(40) if make_room(n, borrowed).geometry.thin.any())
+    room, bare = make_room(number, borrowed), make_room(number)
     assert not bare.geometry.thin.any()
     wardrobes = [p for p in room.placed if p.name == "wardrobe" and p.height == 2.0]
     assert wardrobes
@@ -337,7 +339,7 @@ def test_a_room_with_models(catalogue: Catalogue) -> None:
     points = room.geometry.vertices[room.geometry.faces[room.geometry.thin]].reshape(-1, 3)
     assert room.plan.inside(points).all()
     assert points[:, 2].min() > -1e-9 and points[:, 2].max() < 2.0 + 1e-9
-    one, two = (list(generate_room(number, settings, catalogue)) for _ in range(2))
+    one, two = (list(generate_room(number, settings, borrowed)) for _ in range(2))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.image, b.image)
         np.testing.assert_array_equal(a.depth, b.depth)

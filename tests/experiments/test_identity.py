@@ -32,7 +32,7 @@ NEITHER = (
     *("trainer.workers", "trainer.accelerator", "trainer.compile", "trainer.max_time"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),
-    *("training.maps_memory", "init", "init_encoder", "data.furniture"),
+    *("training.maps_memory", "init", "init_encoder", "data.furniture", "data.textures"),
 )
 
 

@@ -12,7 +12,7 @@ from tf_lab.data.flats.phone import Filming, Phone, make_phone, motion_at, pass_
 from tf_lab.data.flats.plan import FlatPlan, make_flat_plan
 from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.rooms.arrange import THEMES, hang_lamp
-from tf_lab.data.rooms.catalogue import Catalogue
+from tf_lab.data.rooms.borrowed import NOTHING, Borrowed
 from tf_lab.data.rooms.decor import Kit
 from tf_lab.data.rooms.footprint import FreeSpace, Placed
 from tf_lab.data.rooms.layout import Plan, build_shell
@@ -46,13 +46,15 @@ class Flat:
         return FreeSpace(self.plan.floor, self.placed, passages)
 
 
-def make_flat(seed: int, catalogue: Catalogue | None = None) -> Flat:
-    """The flat of a seed; models of a catalogue stand in for some of its furniture."""
+def make_flat(seed: int, borrowed: Borrowed = NOTHING) -> Flat:
+    """The flat of a seed; what is borrowed stands in for some of its furniture and textures."""
     rng = np.random.default_rng([seed, 2])
     plan = make_flat_plan(rng)
     palettes, textures = make_materials(rng, len(plan.rooms))
+    if borrowed.photographs is not None:
+        borrowed.photographs.cover(palettes, textures, seed)
     surfaces = Surfaces(rng)
-    furniture = furniture_of(catalogue, textures, seed)
+    furniture = furniture_of(borrowed.furniture, textures, seed)
     themes = rng.permutation(list(THEMES))
     placed: list[Placed] = []
     lighting = []
@@ -79,10 +81,10 @@ def _light(room: Plan, placed: list[Placed], rng: np.random.Generator) -> Lighti
 
 
 def generate_flat(
-    seed: int, settings: RoomSettings, catalogue: Catalogue | None = None
+    seed: int, settings: RoomSettings, borrowed: Borrowed = NOTHING
 ) -> Iterator[Frame]:
-    """Film the flat of a seed: the same seed, settings and catalogue give the same frames."""
-    flat = make_flat(seed, catalogue)
+    """Film the flat of a seed: the same seed, settings and borrowed things, the same frames."""
+    flat = make_flat(seed, borrowed)
     frames = settings.frames * len(flat.plan.rooms)
     rng = np.random.default_rng([seed, 3])
     phone = make_phone(rng)

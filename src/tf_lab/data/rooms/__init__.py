@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tf_lab.data.rooms.arrange import furnish, hang_lamp
-from tf_lab.data.rooms.catalogue import Catalogue
+from tf_lab.data.rooms.borrowed import NOTHING, Borrowed
 from tf_lab.data.rooms.decor import Kit
 from tf_lab.data.rooms.footprint import FreeSpace, Placed
 from tf_lab.data.rooms.layout import Plan, build_shell, make_plan
@@ -53,14 +53,16 @@ class Room:
     lighting: Lighting
 
 
-def make_room(seed: int, catalogue: Catalogue | None = None) -> Room:
-    """The room of a seed; models of a catalogue stand in for some of its furniture."""
+def make_room(seed: int, borrowed: Borrowed = NOTHING) -> Room:
+    """The room of a seed; what is borrowed stands in for some of its furniture and textures."""
     rng = np.random.default_rng([seed, 0])
     (palette,), textures = make_materials(rng)
+    if borrowed.photographs is not None:
+        borrowed.photographs.cover([palette], textures, seed)
     kit = Kit(Surfaces(rng), palette, rng)
     plan = make_plan(rng)
     build_shell(kit.s, plan, palette, rng)
-    placed = furnish(kit, plan, furniture=furniture_of(catalogue, textures, seed))
+    placed = furnish(kit, plan, furniture=furniture_of(borrowed.furniture, textures, seed))
     lighting = make_lighting(plan, rng)
     hang_lamp(kit, lighting.positions[0], plan.height)
     return Room(plan, placed, kit.s.build(), textures, lighting)
@@ -74,10 +76,10 @@ def intrinsics(settings: RoomSettings) -> np.ndarray:
 
 
 def generate_room(
-    seed: int, settings: RoomSettings, catalogue: Catalogue | None = None
+    seed: int, settings: RoomSettings, borrowed: Borrowed = NOTHING
 ) -> Iterator[Frame]:
-    """Film the room of a seed: the same seed, settings and catalogue give the same frames."""
-    room = make_room(seed, catalogue)
+    """Film the room of a seed: the same seed, settings and borrowed things, the same frames."""
+    room = make_room(seed, borrowed)
     K = intrinsics(settings)
     size = settings.width, settings.height
     renderer = Renderer(room.geometry, room.textures, [room.lighting], K, size, settings.samples)

@@ -7,15 +7,13 @@ model's name, size, maker and place in a home.
 from __future__ import annotations
 
 import functools
-import hashlib
 import re
-import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from tf_lab.data.rooms.archives import Archive, digest_of, read_archive
 from tf_lab.errors import TFLabError
 
 SUFFIX = ".sh3f"
@@ -122,52 +120,32 @@ def read_catalogue(directory: Path) -> Catalogue:
     Raises:
         TFLabError: there is none, or one is damaged.
     """
-    archives = sorted(directory.glob(f"*{SUFFIX}"))
-    if not archives:
+    files = sorted(directory.glob(f"*{SUFFIX}"))
+    if not files:
         raise TFLabError(
             f"{directory}: no {SUFFIX} file inside; give the folder of Sweet Home 3D's furniture "
             "catalogues (Debian: the package sweethome3d-furniture)"
         )
-    models: list[Model] = []
-    licences: dict[str, str] = {}
-    digest = hashlib.sha256()
-    for archive in archives:
-        try:
-            with zipfile.ZipFile(archive) as file:
-                about, entries = _parse(file.read(LIST).decode("latin-1"))
-                infos = {info.filename: info for info in file.infolist()}
-        except (OSError, KeyError, zipfile.BadZipFile) as error:
-            raise TFLabError(f"{archive}: not a furniture catalogue ({error})") from error
-        licences[archive.name] = about.get("license", "no licence stated")
-        for name in sorted(infos):
-            digest.update(f"{archive.name} {name} {infos[name].CRC}\n".encode())
-        for entry in entries:
-            model = _model(archive, entry, infos)
-            models += [model] if model is not None else []
+    archives = [read_archive(path, [LIST], "furniture catalogue") for path in files]
+    models = [
+        model
+        for archive in archives
+        for entry in archive.entries
+        if (model := _model(archive, entry)) is not None
+    ]
     if not models:
         raise TFLabError(f"{directory}: no model in its catalogues stands on the floor of a home")
-    return Catalogue(tuple(models), licences, digest.hexdigest()[:16])
+    licences = {archive.path.name: archive.licence for archive in archives}
+    digest = digest_of((archive, archive.infos) for archive in archives)
+    return Catalogue(tuple(models), licences, digest)
 
 
-def _parse(text: str) -> tuple[dict[str, str], Sequence[dict[str, str]]]:
-    """The lines of a list: what is said of the catalogue, and of each model."""
-    about: dict[str, str] = {}
-    entries: dict[str, dict[str, str]] = {}
-    for line in text.splitlines():
-        found = re.fullmatch(r"\s*(\w+)(?:#(\d+))?\s*=\s*(.*?)\s*", line)
-        if found is not None:
-            key, number, value = found.groups()
-            value = re.sub(r"\\u([0-9a-fA-F]{4})", lambda m: chr(int(m[1], 16)), value)
-            (about if number is None else entries.setdefault(number, {}))[key] = value
-    return about, list(entries.values())
-
-
-def _model(archive: Path, entry: dict[str, str], infos: dict[str, zipfile.ZipInfo]) -> Model | None:
+def _model(archive: Archive, entry: dict[str, str]) -> Model | None:
     """The model of an entry, if it is one for floors and no larger than is of use."""
     path = entry.get("model", "").lstrip("/")
-    if entry.get("category", "").lower() not in INDOORS or path not in infos:
+    if entry.get("category", "").lower() not in INDOORS or path not in archive.infos:
         return None
-    if not path.lower().endswith(".obj") or infos[path].file_size > LARGEST:
+    if not path.lower().endswith(".obj") or archive.infos[path].file_size > LARGEST:
         return None
     try:
         size = tuple(float(entry[key]) / 100 for key in ("width", "depth", "height"))
@@ -182,7 +160,7 @@ def _model(archive: Path, entry: dict[str, str], infos: dict[str, zipfile.ZipInf
     if kind is None or len(rotation) != 9:
         return None
     maker = entry.get("creator", "unknown")
-    return Model(name, kind, maker, archive, path, (size[0], size[1], size[2]), rotation)
+    return Model(name, kind, maker, archive.path, path, (size[0], size[1], size[2]), rotation)
 
 
 def _kind(name: str, size: np.ndarray) -> str | None:

@@ -53,7 +53,7 @@ class Textures:
 
     def __init__(self, images: list[np.ndarray], texels: list[float]) -> None:
         self._images = [image.astype(np.float32) for image in images]
-        self._texel = np.asarray(texels)
+        self._texel = np.array(texels, float)
 
     def add(self, image: np.ndarray, texel: float) -> int:
         """The number of one texture more, of the same size; before the first lookup only."""
@@ -61,6 +61,12 @@ class Textures:
         self._images.append(image.astype(np.float32))
         self._texel = np.append(self._texel, texel)
         return len(self._images) - 1
+
+    def replace(self, number: int, image: np.ndarray, texel: float) -> None:
+        """Another texture under a number; before the first lookup only."""
+        assert "_levels" not in vars(self)
+        self._images[number] = image.astype(np.float32)
+        self._texel[number] = texel
 
     @cached_property
     def _levels(self) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from PIL import Image
 from tf_lab.data.rooms.catalogue import Catalogue, Model
 from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.materials import Textures
-from tf_lab.data.rooms.textures import SIZE
+from tf_lab.data.rooms.textures import SIZE, linear
 
 log = logging.getLogger(__name__)
 VERSION = 1  # changes whenever scenes with the same catalogue do
@@ -24,7 +24,6 @@ SHARE = 0.6  # of pieces that a model stands in for
 SAME = 0.7  # of those that are the same model as the last of their kind: chairs of one table
 OPAQUE = 0.5  # of less opacity are panes, which are left out
 SMALLEST = 1e-8  # square metres of a triangle
-GAMMA = 2.2
 
 
 @dataclass(frozen=True)
@@ -126,14 +125,10 @@ def _part(mesh: trimesh.Trimesh) -> Part:
     colour = np.array([200, 200, 200]) if diffuse is None else np.asarray(diffuse)[:3]
     picture, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
     if picture is None or uv is None:
-        return Part(corners, _linear(colour), None, None, pane)
+        return Part(corners, linear(colour), None, None, pane)
     small = picture.convert("RGB").resize((SIZE, SIZE), Image.Resampling.BILINEAR)
-    image = _linear(np.asarray(small))
-    return Part(corners, _linear(colour), np.asarray(uv)[mesh.faces], image, pane)
-
-
-def _linear(colour: np.ndarray) -> np.ndarray:
-    return np.clip((colour.astype(np.float32) / 255) ** GAMMA, 0.03, 0.95)
+    image = linear(np.asarray(small))
+    return Part(corners, linear(colour), np.asarray(uv)[mesh.faces], image, pane)
 
 
 def _fitted(parts: list[Part], model: Model) -> tuple[Part, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 SIZE = 512
+GAMMA = 2.2
 Rng = np.random.Generator
 Texture = tuple[np.ndarray, float]
 
@@ -55,6 +56,11 @@ def colour(rng: Rng, saturation: float = 0.5, low: float = 0.25, high: float = 0
 def shade(base: np.ndarray, field: np.ndarray) -> np.ndarray:
     """A colour [3] or image times a brightness field [S, S]."""
     return np.clip(base * np.clip(field, 0.04, 3.0)[..., None], 0, 1)
+
+
+def linear(colour: np.ndarray) -> np.ndarray:
+    """Linear light [..., 3] of colours of 8 bits, never quite black or white."""
+    return np.clip((colour.astype(np.float32) / 255) ** GAMMA, 0.03, 0.95)
 
 
 def plaster(rng: Rng, strength: float = 0.06) -> Texture:

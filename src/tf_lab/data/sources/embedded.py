@@ -13,8 +13,10 @@ from typing import Any
 from tf_lab.data import flats, groundtruth, rooms, scene
 from tf_lab.data.flats import generate_flat
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
-from tf_lab.data.rooms import RoomSettings, generate_room, models
-from tf_lab.data.rooms.catalogue import Catalogue, read_catalogue
+from tf_lab.data.rooms import RoomSettings, generate_room, models, photographs
+from tf_lab.data.rooms.borrowed import NOTHING, Borrowed
+from tf_lab.data.rooms.catalogue import read_catalogue
+from tf_lab.data.rooms.photographs import read_photographs
 from tf_lab.data.scene import Frame, write_scene
 from tf_lab.data.sources.scene_jobs import SceneJob, build_scenes
 from tf_lab.data.sources.settings import SPLITS, Content, EmbeddedData, FlatsData, RoomsData
@@ -22,16 +24,17 @@ from tf_lab.data.sources.source import ATTRIBUTION, DataSource, Prepared
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import atomic_path, file_name
 
+ALIKE = ("root", "width", "height", "workers", "furniture", "textures")  # of rooms beside flats
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
 
 
 @dataclass(frozen=True)
 class EmbeddedSplit:
-    """How many scenes a split has, how they are filmed, and whose models stand in them."""
+    """How many scenes a split has, how they are filmed, and what of them others made."""
 
     size: int
     settings: RoomSettings
-    furniture: Catalogue | None = None
+    borrowed: Borrowed = NOTHING
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class EmbeddedSet:
 
     name: str
     version: int
-    generate: Callable[[int, RoomSettings, Catalogue | None], Iterator[Frame]]
+    generate: Callable[[int, RoomSettings, Borrowed], Iterator[Frame]]
 
     def scene_name(self, seed: int) -> str:
         """As in ``room_0000003``."""
@@ -58,18 +61,18 @@ class EmbeddedSet:
         split: str,
         index: int,
         settings: RoomSettings,
-        furniture: Catalogue | None = None,
+        borrowed: Borrowed = NOTHING,
     ) -> Path:
         """Where a scene lies: all that shapes it is in the path, so a cache never goes stale."""
         shaped: list[Any] = [self.version, scene.FORMAT, groundtruth.VERSION]
         shaped += [asdict(settings), asdict(GroundTruthSettings())]
-        shaped += [] if furniture is None else [models.VERSION, furniture.digest]
+        shaped += borrowed.identity
         identity = json.dumps(shaped)
         key = hashlib.sha256(identity.encode()).hexdigest()[:10]
         return root / f"{self.name}-{key}" / split / self.scene_name(FIRST_SEED[split] + index)
 
     def _build(
-        self, seed: int, settings: RoomSettings, furniture: Catalogue | None, directory: Path
+        self, seed: int, settings: RoomSettings, borrowed: Borrowed, directory: Path
     ) -> None:
         """Render a scene and its ground truth into a directory (see `scene`, `groundtruth`)."""
         provenance = {
@@ -77,9 +80,9 @@ class EmbeddedSet:
             "seed": seed,
             "version": self.version,
             **asdict(settings),
-            **({} if furniture is None else {"furniture": furniture.digest}),
+            **({"borrowed": borrowed.identity} if borrowed.identity else {}),
         }
-        frames = self.generate(seed, settings, furniture)
+        frames = self.generate(seed, settings, borrowed)
         made = write_scene(directory, frames, provenance, name=self.scene_name(seed))
         write_groundtruth(made, made.groundtruth, GroundTruthSettings())
 
@@ -96,21 +99,22 @@ class EmbeddedSet:
         found: dict[str, list[Path]] = {}
         jobs = []
         for split, wanted in splits.items():
-            film = wanted.settings, wanted.furniture
+            film = wanted.settings, wanted.borrowed
             found[split] = [self.directory(root, split, i, *film) for i in range(wanted.size)]
             for seed, directory in enumerate(found[split], FIRST_SEED[split]):
                 jobs.append(SceneJob(directory, partial(self._build, seed, *film)))
-            if wanted.furniture is not None and found[split]:
-                self._attribute(found[split][0].parent.parent, wanted.furniture)
+            if found[split]:
+                self._attribute(found[split][0].parent.parent, wanted.borrowed)
         build_scenes(jobs, f"rendering {self.name}", workers)
         return found
 
-    def _attribute(self, directory: Path, furniture: Catalogue) -> None:
-        """Say beside the scenes whose models are in them."""
-        if not (directory / ATTRIBUTION).exists():
+    def _attribute(self, directory: Path, borrowed: Borrowed) -> None:
+        """Say beside the scenes whose models and photographs are in them."""
+        text = borrowed.attribution()
+        if text is not None and not (directory / ATTRIBUTION).exists():
             directory.mkdir(parents=True, exist_ok=True)
             with atomic_path(directory / ATTRIBUTION) as temporary:
-                temporary.write_text(furniture.attribution(), encoding="utf-8")
+                temporary.write_text(text, encoding="utf-8")
 
 
 ROOMS = EmbeddedSet("rooms", rooms.VERSION, generate_room)
@@ -126,7 +130,7 @@ class EmbeddedSource(DataSource):
     def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
         """See `DataSource`."""
         wanted = {
-            split: EmbeddedSplit(self._size(split), self._filming(split), self._furniture(split))
+            split: EmbeddedSplit(self._size(split), self._filming(split), self._borrowed(split))
             for split in splits
         }
         found = self.made.prepare(self.root, wanted, self.settings.workers)
@@ -145,12 +149,15 @@ class EmbeddedSource(DataSource):
     def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """See `DataSource`."""
         versions = {"groundtruth": groundtruth.VERSION, self.made.name: self.made.version}
-        furniture = self._furniture("train") if "train" in splits else None
-        if furniture is not None:
-            versions["furniture"] = models.VERSION
-        digest = None if furniture is None else furniture.digest
-        shards = self.shards() if "train" in splits else None
-        return Content(versions, shards=shards, furniture=digest)
+        if "train" not in splits:
+            return Content(versions)
+        furniture, textures = None, None
+        borrowed = self._borrowed("train")
+        if borrowed.furniture is not None:
+            versions["furniture"], furniture = models.VERSION, borrowed.furniture.digest
+        if borrowed.photographs is not None:
+            versions["textures"], textures = photographs.VERSION, borrowed.photographs.digest
+        return Content(versions, shards=self.shards(), furniture=furniture, textures=textures)
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
@@ -161,23 +168,24 @@ class EmbeddedSource(DataSource):
         s = self.settings
         return {"train": s.size, "val": s.val_size, "test": s.test_size}[split]
 
-    def _furniture(self, split: str) -> Catalogue | None:
+    def _borrowed(self, split: str) -> Borrowed:
         """Val and test scenes are the same for all, so that their scores compare."""
-        directory = self.settings.furniture
-        if not directory or split != "train" or getattr(self.settings, "urls", None):
-            return None
-        catalogue = read_catalogue(Path(directory).expanduser())
-        if self.known.furniture not in (None, catalogue.digest):
-            raise TFLabError(
-                f"data.furniture={directory}: other catalogues than when this run began; start it "
-                "again"
-            )
-        return catalogue
+        s = self.settings
+        if split != "train" or getattr(s, "urls", None):
+            return NOTHING
+        furniture = read_catalogue(Path(s.furniture).expanduser()) if s.furniture else None
+        covers = read_photographs(Path(s.textures).expanduser()) if s.textures else None
+        for name, found in (("furniture", furniture), ("textures", covers)):
+            if found is not None and getattr(self.known, name) not in (None, found.digest):
+                raise TFLabError(
+                    f"data.{name}={getattr(s, name)}: other catalogues than when this run began; "
+                    "start it again"
+                )
+        return Borrowed(furniture, covers)
 
     def attribution(self) -> str | None:
         """See `DataSource`."""
-        furniture = self._furniture("train")
-        return None if furniture is None else furniture.attribution()
+        return self._borrowed("train").attribution()
 
     def _filming(self, split: str) -> RoomSettings:
         s = self.settings
@@ -219,5 +227,5 @@ class FlatSource(EmbeddedSource):
 
     def _rooms(self) -> RoomSource:
         s = self.settings
-        same = {k: getattr(s, k) for k in ("root", "width", "height", "workers", "furniture")}
+        same = {k: getattr(s, k) for k in ALIKE}
         return RoomSource(RoomsData(size=s.rooms, **same))

@@ -37,6 +37,9 @@ class Content:
     furniture: str | None = setting(
         None, "digest of the catalogues of furniture", shapes="weights", absent=None
     )
+    textures: str | None = setting(
+        None, "digest of the photographs of surfaces", shapes="weights", absent=None
+    )
     scenes: dict[str, dict[str, str]] = setting(
         {}, "digests of captures' scenes, by split and name"
     )
@@ -59,6 +62,12 @@ class EmbeddedData:
         None,
         "folder of Sweet Home 3D catalogues (.sh3f), whose models stand in training scenes; "
         "null: furniture of our own alone",
+        kind="path",
+    )
+    textures: str | None = setting(
+        None,
+        "Sweet Home 3D's catalogue of textures (.sh3t, sweethome3d.jar), or a folder of such, "
+        "whose photographs cover surfaces in training scenes; null: painted ones alone",
         kind="path",
     )
     workers: int | None = setting(None, "rendering processes; null: one a core", least=1)
@@ -95,6 +104,7 @@ class ShardsData(RoomsData):
     size: int = setting(32, "not used: the shards are what is trained on", least=0)
     frames: int = setting(128, "not used", least=1)
     furniture: str | None = setting(None, "not used", kind="path")
+    textures: str | None = setting(None, "not used", kind="path")
     urls: Any = setting(
         None,
         "DIR, https://host/DIR/, 'DIR/chunks-{000000..000031}.tar', or a list of such",
