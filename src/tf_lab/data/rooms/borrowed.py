@@ -28,7 +28,9 @@ class Borrowed:
 
     def attribution(self) -> str | None:
         """Whom images of the scenes have to name, if anybody."""
-        named = [each.attribution() for each in (self.furniture, self.photographs) if each]
+        named = [
+            each.attribution() for each in (self.furniture, self.photographs) if each is not None
+        ]
         return "\n".join(named) or None
 
 
