@@ -9,10 +9,18 @@ Examples:
 
 from tf_lab.cli.command import command
 
+TRAINING_ONLY = tuple(  # of the data that is only tested on
+    f"test_on.{name}"
+    for name in (
+        *("name", "size", "val_size", "frames", "rooms", "furniture", "textures"),
+        *("urls", "shuffle", "train", "val"),
+    )
+)
 main = command(
     "train",
     __doc__,
     "tf_lab.commands.train:run",
+    unused=TRAINING_ONLY,
     keeps="what is finished and the last checkpoint are kept, the same command goes on from them; "
     "a test begins again",
     jobs="tf_lab.commands.train:JOBS",

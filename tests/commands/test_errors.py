@@ -374,6 +374,12 @@ def test_an_encoder_that_does_not_ship() -> None:
         ("fusion=foo", ("fusion=foo: no such choice", "transformer", "avg", "pred")),
         ("select=attention", ("select=attention: no such choice", "did you mean select=attn?")),
         ("fusion=average", ("did you mean fusion=avg?", "there are avg, gru, pred, transformer")),
+        (
+            "test_on=null",
+            ("test_on=null: choose one of captures, flats, rooms, scannet, or leave",),
+        ),
+        ("test_on=shards", ("test_on=shards: no such choice",)),
+        ("test_on.root=x", ("choose the data to test on, too, as by test_on=captures",)),
         ("model=huge", ("model=huge: no such choice", "tiny", "small", "paper")),
         ("model=", ("model=: no such choice", "tiny")),
         ("fusion=null", ("fusion=null: choose one of avg, gru, pred, transformer", "leave it out")),
@@ -435,3 +441,24 @@ def test_decimating_without_its_package_is_refused_before_the_work(
     result = call("reconstruct", "decimate=0.5", f"data.root={tmp_path / 'cache'}")
     told(result, "decimate= needs fast-simplification")
     assert not (tmp_path / "cache").exists()  # no room was rendered
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "expected"),
+    [
+        ("prepare", ["test_on=captures"], "test_on: no such setting of tf_lab.prepare"),
+        ("prepare", ["fusion=avg"], "fusion: no such setting of tf_lab.prepare"),
+        ("train", ["-m", "test_on=null,rooms"], "test_on=null,rooms: choose one of"),
+        (
+            "train",
+            ["-m", "test_on=rooms,flats", "test_on.test_size=1"],
+            "test_on.test_size: settings of test_on are of one choice",
+        ),
+        ("train", ["test_on=rooms", "test_on.size=3"], "test_on.size=3: tf_lab.train does not use"),
+    ],
+)
+def test_data_to_test_on_that_cannot_be(command: str, words: list[str], expected: str) -> None:
+    result = call(command, *words)
+    assert result.status == 2
+    (line,) = result.err.splitlines()
+    assert line.startswith(f"error: {expected}")

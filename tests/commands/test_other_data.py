@@ -230,6 +230,7 @@ def test_a_test_on_other_data(root: Path, tmp_path: Path) -> None:
     assert by_init.status == 0, by_init.err
     metrics = [json.loads((r.path("run") / "metrics.json").read_text()) for r in (first, by_init)]
     assert metrics[0]["scenes"] == metrics[1]["scenes"]
+    assert "warning" not in by_init.err
     taken = read_info(by_init.path("training") / "model.safetensors")["training"]
     assert taken["init"]["scenes"] == origin["training"]["scenes"]
     assert taken["init"]["command"] == origin["training"]["command"]
@@ -241,6 +242,39 @@ def test_a_test_on_other_data(root: Path, tmp_path: Path) -> None:
     swap_poses(tmp_path / "b" / "hall")
     again = call("train", *arguments(root), "test_on=captures", *elsewhere, distance, output)
     assert again.path("run") != run
+
+
+def test_weights_that_were_trained_on_a_test_scene_are_told(root: Path, tmp_path: Path) -> None:
+    output = f"output={tmp_path / 'outputs'}"
+    training = call("train", *arguments(root), output).path("training")
+    words = [word for word in arguments(root) if word.partition("=")[0] not in TESTED]
+    of_kitchen = ("optimizer.steps=0", f"data.root={root}", "data.test=[kitchen]")
+    larger = ("data.width=96", "data.height=72")
+    result = call("train", *words, *of_kitchen, *larger, f"init={training}", output)
+    first, second = result.err.splitlines()
+    assert f"init={training}: was trained on images of 80x60, these are of 96x72" in first
+    assert "data.width=80 data.height=60 makes them alike" in first
+    assert second.startswith(f"warning: kitchen is tested on, and init={training} was trained on")
+
+
+def test_images_to_test_on_of_another_size_are_told(root: Path, tmp_path: Path) -> None:
+    write(tmp_path / "b" / "hall", 4, 12)
+    words = ("test_on=captures", f"test_on.root={tmp_path / 'b'}", "test_on.test=[hall]")
+    sizes = ("test_on.width=40", "test_on.height=30")
+    output = f"output={tmp_path / 'outputs'}"
+    result = call("train", *arguments(root), *words, *sizes, output)
+    assert result.status == 0
+    assert "the network is trained on images of 80x60, these are of 40x30" in result.err
+    assert "test_on.width=80 test_on.height=60 makes them alike" in result.err
+
+
+def test_what_is_wrong_with_the_data_to_test_on_is_told_first(root: Path, tmp_path: Path) -> None:
+    """Before the scenes to train on are made."""
+    for wrong in (f"test_on.root={tmp_path / 'nowhere'}", f"test_on.root={root}"):
+        result = call("train", *arguments(root), "test_on=captures", wrong, "test_on.test=[x]")
+        assert (result.status, result.out) == (2, "")
+        assert "test_on." in result.err
+    assert not (root / "tf_lab").exists()
 
 
 def test_what_is_trained_on_is_not_tested_on(root: Path, tmp_path: Path) -> None:

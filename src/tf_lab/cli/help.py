@@ -12,7 +12,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
-from omegaconf import OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from tf_lab.config.typed import settings_of
@@ -64,14 +64,12 @@ def help_text(
     meanings = {key: field.metadata.get("about", "") for key, field in settings_of(cfg)}
     with open_dict(cfg):
         del cfg["hydra"]
-    try:
-        values = OmegaConf.to_container(cfg, resolve=True)
-    except OmegaConfBaseException:  # made of what has to be given
-        values = OmegaConf.to_container(cfg)
+    values = OmegaConf.to_container(cfg)
     assert isinstance(values, dict)
+    leaves = [(key, _resolved(cfg, key, value)) for key, value in _leaves(values)]
     settings = [
         (f"  {key}={value}", meanings.get(key, ""))
-        for key, value in sorted(_leaves(values), key=lambda leaf: "." in leaf[0])
+        for key, value in sorted(leaves, key=lambda leaf: "." in leaf[0])
         if not is_within(key, (*unused, FOUND_OUT))
     ]
     parts = [about.strip()]
@@ -119,8 +117,24 @@ def _leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, 
         if isinstance(value, dict):
             yield from _leaves(value, f"{prefix}{key}.")
         else:
-            text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
-            yield f"{prefix}{key}", text.removesuffix("...\n").strip()
+            yield f"{prefix}{key}", _written(value)
+
+
+def _written(value: Any) -> str:
+    text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
+    return text.removesuffix("...\n").strip()
+
+
+def _resolved(cfg: DictConfig, key: str, value: str) -> str:
+    """A value with those of other settings in it, unless one has to be given."""
+    if "${" not in value:
+        return value
+    try:
+        found = OmegaConf.select(cfg, key, throw_on_missing=True)
+        plain = OmegaConf.is_config(found)
+        return _written(OmegaConf.to_container(found, resolve=True) if plain else found)
+    except OmegaConfBaseException:
+        return value
 
 
 def _columns(rows: Sequence[tuple[str, str]], limit: int = 34) -> Iterator[str]:

@@ -15,12 +15,12 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
-from hydra.errors import MissingConfigException, OverrideParseException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
 from tf_lab.cli.help import FOUND_OUT, also, is_within
-from tf_lab.config.schema import GROUPS, PARTS
+from tf_lab.config.schema import GROUPS, TEST_ON, parts_of
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.experiments.launcher import JOB, task_overrides
@@ -69,7 +69,8 @@ def check_groups(overrides: Sequence[str], conf: Path) -> None:
     for word in overrides:
         group, _, choice = word.lstrip("+").partition("=")
         options = {path.stem for path in (conf / group).glob("*.yaml")}
-        parts = [part for each in (*PARTS, METRICS) if each.group == group for part in each]
+        parts = parts_of(group) if group in GROUPS else []
+        parts += [*METRICS] if group == METRICS.group else []
         options |= {part.choice for part in parts if part.name not in PAPER}
         if group == "metrics" and choice.startswith("["):  # Hydra would say it in five lines
             named = [part.strip() for part in choice.strip("[]").split(",") if part.strip()]
@@ -77,11 +78,12 @@ def check_groups(overrides: Sequence[str], conf: Path) -> None:
             for name in named:
                 if name not in known:
                     raise TFLabError(f"{word}: no {name} among the metrics: {', '.join(known)}")
-        if choice == "null" and options:
+        if "null" in choice.split(",") and options:
             there = ", ".join(sorted(options))
             raise TFLabError(f"{word}: choose one of {there}, or leave it out")
 
 
+UNSET = ("hydra", FOUND_OUT)  # what nobody sets by a name
 _WANTED = {
     "Integer": "a whole number",
     "Float": "a number",
@@ -137,6 +139,9 @@ def explain(
         return f"{where}: must be {_wanted(cause)}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown.group(1)
+        none = not any(word.startswith(f"{TEST_ON}=") for word in chosen)
+        if name == "train" and key.startswith(f"{TEST_ON}.") and none:
+            return f"{key}: {_test_on_first(overrides)}"
         meant = _nearest(key, conf, name, [*chosen, *also(own)])
         return f"{key}: no such setting of tf_lab.{name}{meant}; {more}"
     if several := re.match(r"Ambiguous value for argument '(.+)'\n", text):
@@ -144,6 +149,13 @@ def explain(
         whole = shlex.quote(f"{key}=[{values}]")
         return f"{key}={values}: add -m to run each of them, or write {whole} for a list"
     return " ".join(text.split())
+
+
+def _test_on_first(overrides: Sequence[str]) -> str:
+    """What to do about a setting of the data to test on, of which there is none."""
+    if any(word.startswith(f"{TEST_ON}=") for word in overrides):  # several: a sweep
+        return f"settings of {TEST_ON} are of one choice; give each of {TEST_ON} a sweep of its own"
+    return f"choose the data to test on, too, as by {TEST_ON}=captures"
 
 
 def _choices(overrides: Sequence[str], conf: Path) -> list[str]:
@@ -155,11 +167,14 @@ def _choices(overrides: Sequence[str], conf: Path) -> list[str]:
 def _nearest(key: str, conf: Path, name: str, chosen: list[str]) -> str:
     """A question: the settings that may have been meant, if any is like it."""
     with initialize_config_dir(str(conf), version_base="1.3"):
-        cfg = compose(name, chosen, return_hydra_config=True)
+        try:
+            cfg = compose(name, chosen, return_hydra_config=True)
+        except HydraException:  # a choice that another command has
+            cfg = compose(name, return_hydra_config=True)
     values = OmegaConf.to_container(cfg)
     assert isinstance(values, dict)
     names = [*_names(values), *cfg.hydra.runtime.choices]
-    known = dict.fromkeys(n for n in names if not n.startswith("hydra") and n != key)
+    known = dict.fromkeys(n for n in names if not is_within(n, UNSET) and n != key)
     same = [k for k in known if k.rpartition(".")[2] == key.rpartition(".")[2]]
     meant = same or difflib.get_close_matches(key, known, 2)
     return f" (did you mean {' or '.join(meant)}?)" if meant else ""

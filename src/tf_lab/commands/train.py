@@ -125,6 +125,7 @@ def _evaluate_training(config: TrainConfig, checkpoint: Path) -> None:
 
 def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     network, info = load_network(checkpoint)
+    _check_seen(config)
     scenes = [*_tested(config).scenes("test")["test"].values()]
     if not is_helper():
         write_config(config, run / CONFIG)
@@ -213,16 +214,26 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
 
 
 def _check_size(config: TrainConfig) -> None:
-    """Warn of images of another size than the network that ``init`` names was trained on."""
-    path = initial_path(config)
-    if path is None or initial_state(config) or is_helper():
+    """Warn of images of another size than the network that ``init`` names was trained on, or of
+    other images to test on than to train on.
+    """
+    path, tested, data = initial_path(config), _tested(config), open_source(config.data)
+    if is_helper():
         return
-    given, size = open_source(config.data).size, trained_size(load_network(path)[1])
-    if given and size not in (None, given):
-        width, height = size
+    used = data if config.optimizer.steps > 0 else tested
+    if path is not None and not initial_state(config):
+        _check_sizes(f"init={config.init}: was", trained_size(read_info(path)), used)
+    if used is not tested:
+        _check_sizes("the network is", data.size, tested)
+
+
+def _check_sizes(what: str, size: tuple[int, int] | None, source: DataSource) -> None:
+    if source.size and size not in (None, source.size):
+        (width, height), group = size, source.group
         print(
-            f"warning: init={config.init}: was trained on images of {width}x{height}, these are of "
-            f"{given[0]}x{given[1]}; data.width={width} data.height={height} makes them alike",
+            f"warning: {what} trained on images of {width}x{height}, these are of "
+            f"{source.size[0]}x{source.size[1]}; {group}.width={width} {group}.height={height} "
+            "makes them alike",
             file=sys.stderr,
         )
 
@@ -235,6 +246,20 @@ def _start(config: TrainConfig, directory: Path) -> Path | None:
     elif not config.init:
         state = earlier_state(config, directory)
     return state
+
+
+def _check_seen(config: TrainConfig) -> None:
+    """Warn of test scenes that the weights which ``init`` names were trained on."""
+    origin, seen = _init(config).get("init", {}), set()
+    while isinstance(origin, dict) and origin:
+        seen |= {*origin.get("scenes", {}).values()}
+        origin = origin.get("init")
+    for name, digest in config.content.scenes.get("test", {}).items():
+        if digest in seen and not is_helper():
+            print(
+                f"warning: {name} is tested on, and init={config.init} was trained on it",
+                file=sys.stderr,
+            )
 
 
 def _init(config: TrainConfig) -> dict[str, Any]:

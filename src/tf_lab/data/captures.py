@@ -200,6 +200,7 @@ def prepare_captures(
     workers: int | None = None,
     memory: int = 2**30,
     check: bool = True,
+    what: str = "data.scenes",
 ) -> PreparedCaptures:
     """Make the scenes that do not exist yet or whose sources changed, one process a scene.
 
@@ -212,13 +213,14 @@ def prepare_captures(
         workers: processes; None: one a core.
         memory: bytes a process may take for depth fusion.
         check: whether to look for cameras that are clearly wrong; they make scenes all the same.
+        what: the setting that names the root.
     """
     folder = root / settings.key
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise TFLabError(
-            f"{folder}: cannot be made ({error.strerror}); say with data.scenes=DIR where the "
+            f"{folder}: cannot be made ({error.strerror}); say with {what}=DIR where the "
             "prepared scenes shall go"
         ) from error
     failed: dict[str, str] = {}

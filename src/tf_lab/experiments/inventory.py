@@ -46,8 +46,11 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """The row of the paper's tables and the seed."""
-        return f"{row_label(self.config)} / {self.config.seed}" if self.config else "?"
+        """The row of the paper's tables and the seed, and what else than its data is tested on."""
+        if self.config is None:
+            return "?"
+        elsewhere = "" if self.config.test_on is None else f" on {self.config.test_on.name}"
+        return f"{row_label(self.config)} / {self.config.seed}{elsewhere}"
 
     @property
     def training(self) -> str | None:

@@ -174,7 +174,7 @@ def differences(settings: dict[str, Any], reference: dict[str, Any]) -> str:
     """In which settings one differs from another, in a line: digests last, what data first."""
     names = sorted(
         {*settings, *reference},
-        key=lambda name: (name.startswith("content."), name != "data.name", name),
+        key=lambda name: (name.startswith("content."), not name.endswith("data.name"), name),
     )
     absent = "nothing"
     lines = [

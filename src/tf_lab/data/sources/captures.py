@@ -63,7 +63,10 @@ class PreparedSource(DataSource):
         s, chosen = self.settings, self.captures(splits)
         sources = {name: path for split in chosen.values() for name, path in split.items()}
         root, memory = Path(s.scenes).expanduser(), round(s.memory * 2**30)
-        made = prepare_captures(sources, root, self.import_settings, s.workers, memory, check)
+        made = prepare_captures(
+            *(sources, root, self.import_settings, s.workers, memory, check),
+            what=f"{self.group}.scenes",
+        )
         scenes = {
             split: {name: made.scenes[name] for name in names if name in made.scenes}
             for split, names in chosen.items()

@@ -127,8 +127,8 @@ class PreparedData:
         0.1, "pose distance between stored frames; 0: all", shapes="weights", least=0
     )
     size: int | None = setting(None, "use so many of the training scenes; null: all", least=0)
-    val_size: int | None = setting(None, "the same of the val scenes", least=0)
-    test_size: int | None = setting(None, "the same of the test scenes", least=0)
+    val_size: int | None = setting(None, "use so many of the val scenes; null: all", least=0)
+    test_size: int | None = setting(None, "use so many of the test scenes; null: all", least=0)
     workers: int | None = setting(None, "processes, one a scene; null: one a core", least=1)
     memory: float = setting(1.0, "GiB a process may take for depth fusion", above=0)
     urls: Any = setting(
@@ -156,9 +156,14 @@ class CapturesData(ReadSettings, PreparedData):
         kind="source",
         several=True,
     )
-    val: Any = setting([], "the same, for the score while training", kind="source", several=True)
+    val: Any = setting(
+        [], "scene names, likewise, for the score while training", kind="source", several=True
+    )
     test: Any = setting(
-        [], "the same; without a test scene there is no score", kind="source", several=True
+        [],
+        "scene names, likewise; without a test scene there is no score",
+        kind="source",
+        several=True,
     )
 
     @property

@@ -24,14 +24,19 @@ def content_of(data: Any, test_on: Any | None = None) -> Content:
     """
     if test_on is None:
         return open_source(data).content()
+    source = open_source(test_on, group="test_on")
+    source.has("test")  # says what is wrong with it before anything is made
     trained = open_source(data).content([split for split in SPLITS if split != "test"])
-    tested = open_source(test_on, group="test_on").content(("test",))
+    tested = source.content(("test",))
     scenes = tested.scenes.get("test", {})
     seen = trained.scenes.get("train", {})
     for name, digest in scenes.items():
         twin = next((other for other, known in seen.items() if known == digest), None)
         if twin is not None:
-            raise TFLabError(f"test_on: {name} is trained on, too ({twin} of data={data.name})")
+            raise TFLabError(
+                f"test_on: {name} is trained on, too ({twin} of data={data.name}); hold it out of "
+                f"the training, as by data.test=[{twin}], or test on another"
+            )
     # what makes its scenes is no part of the training's versions, which shape weights
     found = json.dumps([tested.versions, tested.test], sort_keys=True)
     digest = hashlib.sha256(found.encode()).hexdigest()[:16]
