@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import shutil
 import zipfile
@@ -11,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
+from helpers.catalogues import CABINET, MATERIALS, SIDES, front, write_furniture
 from helpers.tiny_jobs import call
 from tf_lab.data.rooms import RoomSettings, generate_room, make_room
 from tf_lab.data.rooms.borrowed import Borrowed
@@ -24,86 +23,14 @@ from tf_lab.data.rooms.render import Lighting, Renderer
 from tf_lab.data.rooms.shapes import Surfaces
 from tf_lab.data.rooms.textures import SIZE
 from tf_lab.data.sources.embedded import RoomSource
-from tf_lab.data.sources.settings import Content, RoomsData, ShardsData
+from tf_lab.data.sources.settings import ShardsData
 from tf_lab.data.sources.source import ATTRIBUTION
 from tf_lab.errors import TFLabError
-
-# A cabinet in a file's frame (y up, front towards z): 2 wide, 4 high, 1 deep; its front carries an
-# image, its other sides are red; a pane before it.
-SIDES = """
-mtllib cabinet.mtl
-v -1 0 0
-v 1 0 0
-v 1 4 0
-v -1 4 0
-v -1 0 1
-v 1 0 1
-v 1 4 1
-v -1 4 1
-v -1 0 1.25
-v 1 0 1.25
-v 1 4 1.25
-vt 0 0
-vt 1 0
-vt 1 1
-vt 0 1
-usemtl red
-f 1 4 3 2
-f 1 2 6 5
-f 2 3 7 6
-f 3 4 8 7
-f 4 1 5 8
-usemtl front
-f 5/1 6/2 7/3 8/4
-"""
-PANE = "usemtl glass\nf 9 10 11\n"
-MATERIALS = """
-newmtl red
-Kd 1 0 0
-newmtl front
-Kd 1 1 1
-map_Kd front.png
-newmtl glass
-Kd 1 1 1
-d 0.1
-"""
-ENTRIES = """
-id=Test#Catalogue
-license=Made up \\u00e9
-name#1=Oak wardrobe
-category#1=Bedroom
-model#1=/made/cabinet/cabinet.obj
-width#1=100
-depth#1=50
-height#1=200
-doorOrWindow#1=false
-creator#1=Somebody
-"""
-
-
-def front() -> bytes:
-    """Bright on top, dark below; green on its left half, blue on its right."""
-    image = np.zeros((64, 64, 3), np.uint8)
-    image[:, :32, 1] = image[:, 32:, 2] = 255
-    image[32:] //= 2
-    content = io.BytesIO()
-    Image.fromarray(image).save(content, "png")
-    return content.getvalue()
-
-
-def write(directory: Path, entries: str = ENTRIES, model: str = SIDES + PANE) -> Path:
-    directory.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(directory / "test.sh3f", "w") as file:
-        file.writestr("PluginFurnitureCatalog.properties", entries)
-        file.writestr("made/cabinet/cabinet.obj", model)
-        file.writestr("made/cabinet/cabinet.mtl", MATERIALS)
-        file.writestr("made/cabinet/front.png", front())
-    return directory
 
 
 @pytest.fixture
 def catalogue(tmp_path: Path) -> Catalogue:
-    return read_catalogue(write(tmp_path / "furniture"))
+    return read_catalogue(write_furniture(tmp_path / "furniture"))
 
 
 def ours(name: str) -> Piece:
@@ -152,8 +79,8 @@ def test_what_a_catalogue_says(catalogue: Catalogue) -> None:
 )
 def test_what_stands_in_for_what(tmp_path: Path, said: str, kind: str | None) -> None:
     """A line that comes later counts; a second entry is as it was, so that there is one."""
-    second = ENTRIES.replace("#1=", "#2=")
-    models = read_catalogue(write(tmp_path, ENTRIES + said + second)).models
+    second = CABINET.replace("#1=", "#2=")
+    models = read_catalogue(write_furniture(tmp_path, CABINET + said + second)).models
     assert [model.kind for model in models] == [*([kind] if kind else []), "wardrobe"]
 
 
@@ -174,8 +101,8 @@ def test_a_model_is_fitted_into_its_size_with_its_front_ahead(catalogue: Catalog
 def test_a_turned_model(tmp_path: Path) -> None:
     """By its matrix first: a file whose z is up."""
     z_up = SIDES.replace("v -1 4 0", "v -1 0 4")  # only so that the files differ
-    entries = ENTRIES + "modelRotation#1=1 0 0 0 0 1 0 -1 0\n"
-    (model,) = read_catalogue(write(tmp_path, entries, z_up)).models
+    entries = CABINET + "modelRotation#1=1 0 0 0 0 1 0 -1 0\n"
+    (model,) = read_catalogue(write_furniture(tmp_path, entries, z_up)).models
     assert model.rotation == (1, 0, 0, 0, 0, 1, 0, -1, 0)
     corners = np.concatenate([part.corners for part in read_parts(model)])
     np.testing.assert_allclose(corners.max((0, 1)), [1.0, 0.5, 2.0])
@@ -226,7 +153,7 @@ def test_faces_that_look_inwards_are_seen_too(tmp_path: Path) -> None:
     """Files disagree about which way round corners go: a back turned inside out is as bright."""
     inside_out = SIDES.replace("f 1 4 3 2", "f 1 2 3 4")
     one, other = (
-        seen(read_catalogue(write(tmp_path / name, model=model)), 0.0, behind=True)
+        seen(read_catalogue(write_furniture(tmp_path / name, model=model)), 0.0, behind=True)
         for name, model in (("one", SIDES), ("other", inside_out))
     )
     assert one[59, 80, 0] > 0.3 > one[59, 80, 1]
@@ -240,7 +167,7 @@ def test_chairs_of_a_table_are_mostly_alike(tmp_path: Path) -> None:
         for n in range(2, 12)
     )
     furniture = Furniture(
-        read_catalogue(write(tmp_path, ENTRIES + chairs)),
+        read_catalogue(write_furniture(tmp_path, CABINET + chairs)),
         Textures([np.ones((SIZE, SIZE, 3))], [0.01]),
         np.random.default_rng(0),
     )
@@ -255,7 +182,7 @@ def test_a_model_that_cannot_be_read_is_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     furniture = Furniture(
-        read_catalogue(write(tmp_path, model="v 0 0\nf 1 2 3\n")),
+        read_catalogue(write_furniture(tmp_path, model="v 0 0\nf 1 2 3\n")),
         Textures([np.ones((SIZE, SIZE, 3))], [0.01]),
         np.random.default_rng(0),
     )
@@ -268,7 +195,7 @@ def test_a_model_that_cannot_be_read_is_left_out(
 def test_a_model_beside_the_list(tmp_path: Path) -> None:
     """Not in a folder of its own."""
     with zipfile.ZipFile(tmp_path / "test.sh3f", "w") as file:
-        entries = ENTRIES.replace("/made/cabinet/", "")
+        entries = CABINET.replace("/made/cabinet/", "")
         file.writestr("PluginFurnitureCatalog.properties", entries)
         for name, content in (("obj", SIDES), ("mtl", MATERIALS)):
             file.writestr(f"cabinet.{name}", content)
@@ -279,7 +206,7 @@ def test_a_model_beside_the_list(tmp_path: Path) -> None:
 
 def test_models_of_two_catalogues_have_images_of_their_own(tmp_path: Path) -> None:
     """Although their paths are the same."""
-    write(tmp_path)
+    write_furniture(tmp_path)
     shutil.copy(tmp_path / "test.sh3f", tmp_path / "two.sh3f")
     rng = np.random.default_rng(0)
     (palette,), textures = make_materials(rng)
@@ -306,7 +233,7 @@ def no_zip(directory: Path) -> None:
 
 
 def nothing_of_use(directory: Path) -> None:
-    write(directory, ENTRIES.replace("Bedroom", "Vehicles"))
+    write_furniture(directory, CABINET.replace("Bedroom", "Vehicles"))
 
 
 @pytest.mark.parametrize(
@@ -345,33 +272,6 @@ def test_a_room_with_models(catalogue: Catalogue) -> None:
         np.testing.assert_array_equal(a.depth, b.depth)
 
 
-def test_training_scenes_alone_have_models(tmp_path: Path) -> None:
-    """And say whose they are; wherever the catalogues lie, the same content is the same data."""
-    here, there = write(tmp_path / "here"), tmp_path / "there"
-    shutil.copytree(here, there)
-
-    def source(**settings: str) -> RoomSource:
-        data = RoomsData(
-            root=str(tmp_path / "cache"), size=1, val_size=1, test_size=0, width=32, height=24,
-            frames=12, test_frames=12, workers=1, **settings,
-        )  # fmt: skip
-        return RoomSource(data)
-
-    plain, with_models = source(), source(furniture=str(here))
-    prepared = [s.prepare(["train", "val"]).scenes for s in (plain, with_models)]
-    (plain_train,), (train,) = (p["train"].values() for p in prepared)
-    assert prepared[0]["val"] == prepared[1]["val"]
-    assert plain_train != train
-    assert "Oak wardrobe" in (train.parent.parent / ATTRIBUTION).read_text(encoding="utf-8")
-    assert not (plain_train.parent.parent / ATTRIBUTION).exists()
-    assert source(furniture=str(there)).prepare(["train"]).scenes["train"] == prepared[1]["train"]
-    assert plain.content().furniture is None
-    assert plain.attribution() is None
-    assert "Oak wardrobe" in str(with_models.attribution())
-    assert with_models.content() == source(furniture=str(there)).content()
-    assert with_models.content() != plain.content()
-
-
 def test_shards_are_trained_on_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Furniture is of scenes that are rendered: beside shards it changes nothing."""
     monkeypatch.setattr(RoomSource, "shards", lambda self: "the same")
@@ -382,15 +282,8 @@ def test_shards_are_trained_on_as_they_are(tmp_path: Path, monkeypatch: pytest.M
     assert plain == given
 
 
-def test_other_catalogues_than_when_a_run_began(tmp_path: Path) -> None:
-    known = Content(furniture="another")
-    source = RoomSource(RoomsData(root=str(tmp_path), furniture=str(write(tmp_path / "f"))), known)
-    with pytest.raises(TFLabError, match="other catalogues than when this run began"):
-        source.prepare(["train"])
-
-
 def test_shards_of_such_scenes_name_the_makers(tmp_path: Path) -> None:
-    directory = write(tmp_path / "furniture")
+    directory = write_furniture(tmp_path / "furniture")
     result = call(
         "prepare",
         *("data=rooms", f"data.root={tmp_path}", f"data.furniture={directory}", "data.workers=1"),

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import logging
-import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
+from helpers.catalogues import BOARDS, write_textures
 from tf_lab.data.rooms import RoomSettings, generate_room, make_room
 from tf_lab.data.rooms.borrowed import Borrowed
 from tf_lab.data.rooms.materials import Textures, make_materials
@@ -24,50 +21,12 @@ from tf_lab.data.rooms.photographs import (
     read_texture,
 )
 from tf_lab.data.rooms.textures import SIZE
-from tf_lab.data.sources.embedded import FlatSource, RoomSource
-from tf_lab.data.sources.settings import Content, FlatsData, RoomsData
-from tf_lab.data.sources.source import ATTRIBUTION
 from tf_lab.errors import TFLabError
-
-ENTRIES = """
-id=Test#Textures
-license=Made up \\u00e9
-name#1=Oak boards
-category#1=Floor
-image#1=/made/boards.png
-width#1=80
-height#1=40
-creator#1=Somebody
-"""
-LEFT, RIGHT = (255, 0, 0), (0, 0, 255)
-
-
-def picture(size: tuple[int, int] = (64, 32)) -> bytes:
-    """Red on its left half, blue on its right."""
-    image = np.zeros((size[1], size[0], 3), np.uint8)
-    image[:, : size[0] // 2], image[:, size[0] // 2 :] = LEFT, RIGHT
-    content = io.BytesIO()
-    Image.fromarray(image).save(content, "png")
-    return content.getvalue()
-
-
-def write(
-    directory: Path,
-    entries: str = ENTRIES,
-    name: str = "test.sh3t",
-    inside: str = LISTS[0],
-    image: bytes | None = None,
-) -> Path:
-    directory.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(directory / name, "w") as file:
-        file.writestr(inside, entries)
-        file.writestr("made/boards.png", picture() if image is None else image)
-    return directory
 
 
 @pytest.fixture
 def photographs(tmp_path: Path) -> Photographs:
-    return read_photographs(write(tmp_path / "textures"))
+    return read_photographs(write_textures(tmp_path / "textures"))
 
 
 def test_what_a_catalogue_says(photographs: Photographs) -> None:
@@ -101,8 +60,8 @@ def test_what_a_catalogue_says(photographs: Photographs) -> None:
 )
 def test_what_covers_what(tmp_path: Path, said: str, roles: tuple[str, ...] | None) -> None:
     """A line that comes later counts; a second entry is as it was, so that there is one."""
-    second = ENTRIES.replace("#1=", "#2=")
-    images = read_photographs(write(tmp_path, ENTRIES + said + second)).images
+    second = BOARDS.replace("#1=", "#2=")
+    images = read_photographs(write_textures(tmp_path, BOARDS + said + second)).images
     assert [image.roles for image in images] == [*([roles] if roles else []), ("floor", "wood")]
 
 
@@ -121,8 +80,8 @@ def test_an_image_has_its_size(photographs: Photographs) -> None:
 
 
 def test_an_image_that_is_higher_than_wide(tmp_path: Path) -> None:
-    entries = ENTRIES.replace("width#1=80", "width#1=20").replace("height#1=40", "height#1=30")
-    texture = read_texture(read_photographs(write(tmp_path, entries)).images[0])
+    entries = BOARDS.replace("width#1=80", "width#1=20").replace("height#1=40", "height#1=30")
+    texture = read_texture(read_photographs(write_textures(tmp_path, entries)).images[0])
     assert texture is not None
     image, texel = texture
     assert texel == pytest.approx(0.6 / SIZE)  # three of them beside each other, two above
@@ -160,7 +119,7 @@ def test_a_room_with_photographs(photographs: Photographs) -> None:
 def test_an_image_that_cannot_be_read_is_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    borrowed = Borrowed(photographs=read_photographs(write(tmp_path, image=b"no picture")))
+    borrowed = Borrowed(photographs=read_photographs(write_textures(tmp_path, image=b"no picture")))
     settings = RoomSettings(48, 36, 2, 1)
     with caplog.at_level(logging.WARNING):
         frames = [f for seed in range(3) for f in generate_room(seed, settings, borrowed)]
@@ -170,13 +129,13 @@ def test_an_image_that_cannot_be_read_is_left_out(
 
 
 def test_the_programs_own_catalogue_and_a_file_by_itself(tmp_path: Path) -> None:
-    write(tmp_path, name="sweethome3d.jar", inside=LISTS[1])
+    write_textures(tmp_path, name="sweethome3d.jar", inside=LISTS[1])
     digests = {read_photographs(place).digest for place in (tmp_path, tmp_path / "sweethome3d.jar")}
     assert len(digests) == 1
 
 
 def no_list(directory: Path) -> None:
-    write(directory, inside="readme")
+    write_textures(directory, inside="readme")
 
 
 def no_zip(directory: Path) -> None:
@@ -184,7 +143,7 @@ def no_zip(directory: Path) -> None:
 
 
 def nothing_of_use(directory: Path) -> None:
-    write(directory, ENTRIES.replace("Oak boards", "Grass"))
+    write_textures(directory, BOARDS.replace("Oak boards", "Grass"))
 
 
 @pytest.mark.parametrize(
@@ -203,40 +162,3 @@ def test_folders_without_textures(tmp_path: Path, make: Callable[[Path], None], 
     assert str(tmp_path) in str(caught.value)
     with pytest.raises(TFLabError, match=r"no \.sh3t file"):
         read_photographs(tmp_path / "nowhere")
-
-
-def test_training_scenes_alone_are_covered(tmp_path: Path) -> None:
-    """And say whose images they are; wherever these lie, the same content is the same data."""
-    here, there = write(tmp_path / "here"), tmp_path / "there"
-    shutil.copytree(here, there)
-
-    def source(**settings: str) -> RoomSource:
-        data = RoomsData(
-            root=str(tmp_path / "cache"), size=1, val_size=1, test_size=0, width=32, height=24,
-            frames=12, test_frames=12, workers=1, **settings,
-        )  # fmt: skip
-        return RoomSource(data)
-
-    plain, covered = source(), source(textures=str(here))
-    prepared = [s.prepare(["train", "val"]).scenes for s in (plain, covered)]
-    (plain_train,), (train,) = (p["train"].values() for p in prepared)
-    assert prepared[0]["val"] == prepared[1]["val"]
-    assert plain_train != train
-    assert "Oak boards" in (train.parent.parent / ATTRIBUTION).read_text(encoding="utf-8")
-    assert not (plain_train.parent.parent / ATTRIBUTION).exists()
-    assert source(textures=str(there)).prepare(["train"]).scenes["train"] == prepared[1]["train"]
-    assert "Oak boards" in str(covered.attribution())
-    assert covered.content() == source(textures=str(there)).content()
-    assert covered.content() != plain.content()
-    assert covered.content(("val", "test")) == plain.content(("val", "test"))
-
-
-def test_rooms_beside_flats_are_covered_too(tmp_path: Path) -> None:
-    data = FlatsData(root=str(tmp_path), rooms=1, textures=str(write(tmp_path / "textures")))
-    assert FlatSource(data)._rooms().settings.textures == data.textures
-
-
-def test_others_than_when_a_run_began(tmp_path: Path) -> None:
-    data = RoomsData(root=str(tmp_path), textures=str(write(tmp_path / "textures")))
-    with pytest.raises(TFLabError, match=r"data\.textures=.*other catalogues than when this run"):
-        RoomSource(data, Content(textures="another")).prepare(["train"])
