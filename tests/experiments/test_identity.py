@@ -254,8 +254,10 @@ def test_a_training_is_the_same_whatever_it_is_tested_on() -> None:
     assert keys(rooms)[0] == keys(flats)[0] == keys(more)[0]
     assert len({keys(config)[1] for config in (rooms, flats, more)}) == 3
     assert keys(composed("test_on=flats", "test_on.width=80"))[1] != keys(flats)[1]
-    unused = ("data.test_size=9", "test_on.size=9", "test_on.frames=9")  # which shape no test scene
-    assert keys(composed("test_on=flats", *unused)) == keys(flats)
+    unused = composed("test_on=flats", "data.test_size=9")  # which is of no use then
+    assert keys(unused) == keys(flats)
+    here = ("test_on=captures", "test_on.root=here")  # also where no digest tells them apart
+    assert keys(composed(*here, "test_on.keyframe_distance=0.3"))[1] != keys(composed(*here))[1]
     assert "flats" in evaluation_identity(flats)["data"].values()
 
 

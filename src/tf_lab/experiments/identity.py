@@ -43,10 +43,10 @@ def evaluation_identity(config: TrainConfig) -> dict[str, Any]:
     identity = shaping(replace(config, test_on=None), "scores")
     if config.test_on is None:
         return identity
-    # of other data, beside its content, what shapes its test scenes; of the training's nothing
-    given = shaping(config.test_on, "weights")
-    made = {name: given[name] for name in ("name", "width", "height") if name in given}
-    return {**identity, "data": {**made, **shaping(config.test_on, "scores")}}
+    # of other data all that shapes scenes, for which of them only its source knows; of the
+    # training's nothing
+    tested = {**shaping(config.test_on, "weights"), **shaping(config.test_on, "scores")}
+    return {**identity, "data": tested}
 
 
 def key_of(*identity: Any) -> str:
