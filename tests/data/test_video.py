@@ -88,6 +88,26 @@ def test_going_forward_decodes_once(written: Write, monkeypatch: pytest.MonkeyPa
     assert len(starts) == 1
 
 
+def test_going_to_and_fro_decodes_once_a_place(
+    written: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pairs of frames, as `check` reads them, and two reconstructions side by side."""
+    walk, starts = Video(written()), []
+    start = Video._start
+    monkeypatch.setattr(Video, "_start", lambda self: starts.append(1) or start(self))
+    order = [i for anchor in range(30) for i in (anchor, anchor + 9, anchor + 4)]
+    assert [number_in(walk.read(i)) for i in order] == order
+    assert len(starts) == 2
+    assert number_in(walk.read(0)) == 0  # before all of them
+    assert number_in(walk.read(33)) == 33
+
+
+def test_the_last_frame_after_one_that_is_not_there(written: Write) -> None:
+    walk = Video(written())
+    for index in (COUNT, COUNT - 1, COUNT, COUNT - 1):
+        assert readable(walk, index) == (index < COUNT)
+
+
 def test_a_video_may_be_pickled(written: Write) -> None:
     capture = video.read(written())
     capture.image(20)

@@ -7,6 +7,7 @@ their zero-mean normalised cross-correlation (ZNCC).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -149,23 +150,20 @@ def _sure(gains: np.ndarray) -> bool:
 
 
 def _views(evidence: Evidence, geometry: Geometry, focal: float) -> list[_View]:
-    views = []
+    capture, found = evidence.capture, []
     for first, second in _partners(geometry.world_T_cam):
         K = geometry.K[[first, second]].copy()
         K[:, [0, 1], [0, 1]] /= focal
-        frames = [evidence.frames[first], evidence.frames[second]]
+        a, b = evidence.frames[first], evidence.frames[second]
         try:
-            points, depth = (
-                _points(evidence.capture, frames[0], K[0]),
-                evidence.capture.depth(frames[1]),
-            )
-            images = [_grey(evidence.capture, index) for index in frames]
+            points, depth = _points(capture, a, K[0]), capture.depth(b)
         except TFLabError:
             continue
         if points is not None and depth is not None:
             b_T_a = np.linalg.inv(geometry.world_T_cam[second]) @ geometry.world_T_cam[first]
-            views.append(_View(points, K[0], K[1], b_T_a, depth, *images))
-    return views
+            found.append((a, b, (points, K[0], K[1], b_T_a, depth)))
+    greys = dict(_greys(capture, {frame for a, b, _ in found for frame in (a, b)}))
+    return [_View(*pair, greys[a], greys[b]) for a, b, pair in found if {a, b} <= greys.keys()]
 
 
 def _partners(world_T_cam: np.ndarray) -> list[tuple[int, int]]:
@@ -195,10 +193,17 @@ def _points(capture: Capture, index: int, K: np.ndarray) -> np.ndarray | None:
     return np.asarray((pixels @ np.linalg.inv(K).T * z[:, None])[z > 0])
 
 
-def _grey(capture: Capture, index: int) -> np.ndarray:
-    """Grey values [H, W] from 1 to 256: 0 is outside."""
-    grey = cv2.cvtColor(capture.image(index), cv2.COLOR_RGB2GRAY).astype(np.float32)
-    return cv2.GaussianBlur(grey, (3, 3), 0) + 1
+def _greys(capture: Capture, frames: set[int]) -> Iterator[tuple[int, np.ndarray]]:
+    """Grey values [H, W] from 1 to 256 (0 is outside) of those that can be read.
+
+    In their order: going back, a video would have to be decoded again.
+    """
+    for index in sorted(frames):
+        try:
+            grey = cv2.cvtColor(capture.image(index), cv2.COLOR_RGB2GRAY).astype(np.float32)
+        except TFLabError:
+            continue
+        yield index, cv2.GaussianBlur(grey, (3, 3), 0) + 1
 
 
 def _look_up(

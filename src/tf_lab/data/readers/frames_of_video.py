@@ -1,8 +1,8 @@
 """Frames of video files by their number, exactly: decoded in order, never sought.
 
 Seeking by time or key frame is off by frames in many files, so frame i is the i-th that the
-decoder gives, as for every tool that extracts all frames. Going forward decodes on, going back
-starts again.
+decoder gives, as for every tool that extracts all frames. Going forward decodes on; going back
+takes up an earlier decoder that is still before the frame, or starts another.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from tf_lab.errors import TFLabError
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+DECODERS = 3  # open at most: pairs of frames and readers side by side go to and fro
 CURE = "convert it with ffmpeg to an .mp4, or extract its frames into images/"
 
 
@@ -44,7 +45,8 @@ class Video:
         self.upright = upright
         self._turn = threading.Lock()
         self._end: int | None = None  # no frame from here on can be decoded
-        capture = self._start()
+        self._decoders = [self._start()]  # the one used last is last
+        capture = self._decoders[0].capture
         width, height = (
             capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         )
@@ -52,16 +54,17 @@ class Video:
         self._declared = capture.get(cv2.CAP_PROP_FRAME_COUNT)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in ("_capture", "_turn")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_decoders", "_turn")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _capture=None, _turn=threading.Lock())
+        self.__dict__.update(state, _decoders=[], _turn=threading.Lock())
 
     def read(self, index: int) -> np.ndarray:
         """Frame ``index`` from 0, uint8 [H, W, 3] RGB. Raises TFLabError if it can't be decoded."""
         with self._turn, _quiet():
             try:
-                image = self._capture.retrieve()[1] if self._reach(index) else None
+                decoder = self._reach(index)
+                image = decoder.capture.retrieve()[1] if decoder else None
                 if image is not None:
                     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
             except cv2.error:
@@ -78,30 +81,44 @@ class Video:
             return expected
         with self._turn, _quiet():
             self._reach(expected)
-            return self._position + 1
+            return expected + 1 if self._end is None else min(self._end, expected + 1)
 
-    def _start(self) -> cv2.VideoCapture:
+    def _start(self) -> _Decoder:
         with _quiet():
-            self._capture: Any = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG)
-            self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self.upright))
-        self._position = -1  # the number of the frame that the decoder holds
-        if not self._capture.isOpened():
+            capture = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG)
+            capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self.upright))
+        if not capture.isOpened():
             if not self.path.is_file():
                 raise TFLabError(f"{self.path}: no such video")
             raise TFLabError(f"{self.path}: cannot be read as a video; {CURE}")
-        return self._capture
+        return _Decoder(capture)
 
-    def _reach(self, index: int) -> bool:
-        """Whether the decoder holds frame ``index``, after decoding up to it."""
-        if self._capture is None or index < self._position:
-            self._start()
-        while self._position < index:
-            # after a failure the decoder may go on, but with which frame nobody knows
-            if self._position + 1 == self._end or not self._capture.grab():
-                self._end = self._position + 1
-                return False
-            self._position += 1
-        return True
+    def _reach(self, index: int) -> _Decoder | None:
+        """A decoder that holds frame ``index``, after decoding up to it; None: there is no such."""
+        if self._end is not None and index >= self._end:
+            return None
+        before = [decoder for decoder in self._decoders if decoder.position <= index]
+        if before:
+            decoder = max(before, key=lambda it: it.position)
+            self._decoders.remove(decoder)
+        else:
+            decoder = self._start()
+        while decoder.position < index:
+            if not decoder.capture.grab():
+                # it may go on after a failure, but with which frame nobody knows
+                self._end = decoder.position + 1
+                return None
+            decoder.position += 1
+        self._decoders = [*self._decoders[1 - DECODERS :], decoder]
+        return decoder
+
+
+@dataclass(eq=False)
+class _Decoder:
+    """An open video, and the number of the frame that it holds; -1: none yet."""
+
+    capture: cv2.VideoCapture
+    position: int = -1
 
 
 @dataclass(frozen=True)
