@@ -56,6 +56,7 @@ def composed(command: str, words: list[str]) -> DictConfig:
     return compose_hydra(command, *given)
 
 
+@pytest.mark.long
 def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / "reconstruct.md").read_text(), re.DOTALL)
     plain.write(tmp_path / "DIR", room_frames())

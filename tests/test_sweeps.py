@@ -1,5 +1,9 @@
 """The sweeps of sweeps/: what they run, in which order, and that W&B's run the same."""
 
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+
 import pytest
 import yaml
 from hydra import compose, initialize_config_dir
@@ -26,8 +30,16 @@ INPUTS = {"w/o projected depth", "w/o view ray"}
 OWN = {"+ matching", *(f"{k} images, diverse (ours)" for k in (4, 8, 16))}
 
 
+@functools.cache
 def composed(*overrides: str) -> TrainConfig:
     return compose_config("train", *overrides)
+
+
+def job(overrides: Sequence[str]) -> TrainConfig:
+    """The config of a job; its row is composed once for all seeds."""
+    (seed,) = (word for word in overrides if word.startswith("seed="))
+    row = composed(*(word for word in overrides if word != seed))
+    return replace(row, seed=int(seed.removeprefix("seed=")))
 
 
 def jobs(name: str) -> list[TrainConfig]:
@@ -38,7 +50,7 @@ def jobs(name: str) -> list[TrainConfig]:
     params = hydra.sweeper.params
     parsed = OverridesParser.create().parse_overrides([f"{k}={v}" for k, v in params.items()])
     (batch,) = BasicSweeper.split_arguments(parsed, None)
-    return [composed(*overrides) for overrides in batch]
+    return [job(overrides) for overrides in batch]
 
 
 def rows(configs: list[TrainConfig]) -> set[tuple[str, int]]:
@@ -67,6 +79,10 @@ def test_a_sweep_is_a_table_or_chart_of_the_paper(
     assert len(set(first[:trainings])) == trainings
 
 
+def test_a_seed_is_one_setting() -> None:
+    assert job(["seed=2", "row=avg"]) == compose_config("train", "seed=2", "row=avg")
+
+
 def test_every_sweep_is_tested() -> None:
     assert {path.stem for path in SWEEPS.glob("*.yaml")} == {
         "main_ablation",
@@ -86,7 +102,7 @@ def test_wandbs_sweep_runs_the_same() -> None:
     ]
     # the agent puts every parameter in as key=value
     configs = [
-        (composed("logger=wandb", f"seed={seed}", f"row={row}"))
+        job(["logger=wandb", f"seed={seed}", f"row={row}"])
         for seed in values["seed"]
         for row in values["row"]
     ]

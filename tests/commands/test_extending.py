@@ -20,6 +20,7 @@ from helpers.tiny_jobs import TINY, Result, environment
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text()
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```', PAGE, re.DOTALL | re.MULTILINE))
+pytestmark = pytest.mark.long
 COMMANDS = re.findall(r"^python -m (tf_lab\..+|pytest .+)$", PAGE, re.MULTILINE)
 
 

@@ -54,6 +54,7 @@ def test_the_summary_tells_what_was_skipped_and_what_failed(captures: Path, tmp_
     assert left == {"kitchen", "office", "prepare.json"}
 
 
+@pytest.mark.long
 def test_killed_and_restarted_it_ends_with_equal_bytes(captures: Path, tmp_path: Path) -> None:
     call("prepare", *arguments(captures, tmp_path / "expected"))
     command = [sys.executable, "-m", "tf_lab.prepare", *arguments(captures, tmp_path / "killed")]
@@ -73,6 +74,7 @@ def test_killed_and_restarted_it_ends_with_equal_bytes(captures: Path, tmp_path:
     assert digest(tmp_path / "killed") == digest(tmp_path / "expected")
 
 
+@pytest.mark.long
 def test_two_at_once_do_no_harm(captures: Path, tmp_path: Path) -> None:
     call("prepare", *arguments(captures, tmp_path / "expected"))
     command = [sys.executable, "-m", "tf_lab.prepare", *arguments(captures, tmp_path / "both")]
@@ -140,6 +142,7 @@ def test_a_test_scene_that_is_not_there_is_told_before_the_training(captures: Pa
     assert not Path("outputs").exists()
 
 
+@pytest.mark.long
 def test_shards_are_written_and_trained_on(captures: Path, tmp_path: Path) -> None:
     drawing = ("training.images=2", "training.views=[2]", "training.coverage=0.2", "model.far=2.5")
     common = [*arguments(captures, tmp_path / "scenes"), "data.test=[office]", *drawing]

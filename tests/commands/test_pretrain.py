@@ -148,6 +148,7 @@ def test_the_effects_of_the_config_reach_the_training(tmp_path: Path, effect: st
     assert any(not torch.equal(value, before[name]) for name, value in after.items())
 
 
+@pytest.mark.long
 def test_a_killed_one_goes_on_unless_it_is_another(tmp_path: Path) -> None:
     """The same settings resume its checkpoint; others start anew, and say so."""
     last = Path("encoder", "last.ckpt")

@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
@@ -44,6 +45,7 @@ def test_weights_are_made_and_scored_on_rooms_and_on_a_capture(
     assert (learnt["out.weight"] != 0).any()
 
 
+@pytest.mark.long
 def test_the_capture_is_scored_and_never_trained_on(tmp_path: Path, box_scene: Path) -> None:
     output = tmp_path / "stereo.safetensors"
     assert pretrain().status == 0
@@ -62,6 +64,7 @@ def test_a_capture_without_depth_is_told(tmp_path: Path, box_scene: Path) -> Non
     assert "bare: no frame of it has depth" in result.err
 
 
+@pytest.mark.long
 def test_a_killed_one_goes_on_unless_it_is_another(tmp_path: Path) -> None:
     last = Path("stereo", "last.ckpt")
     kill_after_first_save("pretrain_stereo", *JOB, "steps=6")

@@ -218,6 +218,7 @@ def kill_while_jobs_train(arguments: Sequence[str], folder: Path) -> None:
         assert alive.read() == ""  # waits until all have ended that opened it
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("outputs")
 def test_jobs_side_by_side_end_with_a_killed_sweep(tmp_path: Path) -> None:
     sweep = ["-m", *TINY, "seed=0,1", "launcher=local", "launcher.jobs=2"]
@@ -225,6 +226,7 @@ def test_jobs_side_by_side_end_with_a_killed_sweep(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("trainings/*/model.safetensors"))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("outputs")
 def test_a_killed_sweep_goes_on_to_the_same_results(
     tmp_path: Path, jobs_in_process: list[list[str]]

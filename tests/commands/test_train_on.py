@@ -36,6 +36,7 @@ def first_step(training: Path) -> int:
         return min(int(row["step"]) for row in csv.DictReader(file))
 
 
+@pytest.mark.long
 def test_more_steps_of_a_schedule_that_does_not_end(train: Train, tmp_path: Path) -> None:
     """The longer training is, to the bit, what it is from nothing."""
     common = (NO_TEST, "optimizer.schedule=inverse_sqrt", "optimizer.encoder_factor=1", *VALIDATE)
@@ -137,6 +138,7 @@ def test_an_encoder_takes_the_place_of_another(
         assert torch.equal(value, expected), name
 
 
+@pytest.mark.long
 def test_inputs_that_say_nothing_at_first_are_added(
     train: Train, checkpoint: Path, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import OmegaConf, open_dict
 
 from tf_lab.config.build import build_network, capture_settings
 from tf_lab.config.compose import compose_config, conf_dir
@@ -18,6 +18,7 @@ from tf_lab.config.groups import InputSettings
 from tf_lab.config.registration import register
 from tf_lab.config.schema import CONFIGS as SCHEMAS
 from tf_lab.config.schema import PARTS
+from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.training.schedule import learning_rate_factor
@@ -40,9 +41,11 @@ def with_hydra(*overrides: str) -> list[Any]:
     """What the train command gets, and how Hydra is to run it."""
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        hydra = compose("train", overrides=list(overrides), return_hydra_config=True).hydra
-    how = OmegaConf.masked_copy(hydra, ["mode", "launcher", "sweeper"])
-    return [composed("train", *overrides), OmegaConf.to_container(how)]
+        config = compose("train", overrides=list(overrides), return_hydra_config=True)
+    how = OmegaConf.masked_copy(config.hydra, ["mode", "launcher", "sweeper"])
+    with open_dict(config):
+        del config["hydra"]
+    return [typed(SCHEMAS["train"], config), OmegaConf.to_container(how)]
 
 
 # what the user has to say beside an option

@@ -44,9 +44,9 @@ class Texts:
 
 
 def _fields(schema: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any]]]:
+    kinds = get_type_hints(schema)
     for field in fields(schema):
-        kind = get_type_hints(schema)[field.name]
-        if is_dataclass(kind):
+        if is_dataclass(kind := kinds[field.name]):
             yield from _fields(kind, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}", field
