@@ -13,7 +13,7 @@ from tf_lab.benchmarks.plane_sweep import (
     Views,
     checked,
     plane_sweep,
-    sweep,
+    swept,
 )
 from tf_lab.errors import TFLabError
 
@@ -25,7 +25,7 @@ def walk(texture: bool = True) -> Views:
     """Seven cameras side by side that look at the box in front of a wall."""
     poses = [box_room.look(np.array([-0.9, STEP * (i - 3), 0.9]), 0.0, -0.25) for i in range(7)]
     images = [box_room.color_image(p, box_room.depth_image(p)) for p in poses]
-    grey = torch.from_numpy(np.stack(images)).float().mean(-1)[:, None] / 255
+    grey = torch.from_numpy(np.stack(images)).float().mean(-1) / 255
     if not texture:
         grey = torch.full_like(grey, 0.5)
     K = torch.from_numpy(box_room.intrinsics()).float().expand(7, 3, 3)
@@ -38,7 +38,7 @@ def true_depth(views: Views, i: int) -> torch.Tensor:
 
 def test_depth_is_that_of_the_room() -> None:
     views = walk()
-    depth = sweep(views, 3, views.sources(3, SETTINGS), SETTINGS)
+    depth = swept(views, 3, views.sources(3, SETTINGS), SETTINGS)
     found, error = depth > 0, (depth - true_depth(views, 3)).abs()
     assert found.float().mean() > 0.6
     assert (error[found] < 0.1).float().mean() > 0.85  # the rest at edges of the box
@@ -47,7 +47,7 @@ def test_depth_is_that_of_the_room() -> None:
 
 def test_without_texture_nothing_is_claimed() -> None:
     views = walk(texture=False)
-    depth = sweep(views, 3, views.sources(3, SETTINGS), SETTINGS)
+    depth = swept(views, 3, views.sources(3, SETTINGS), SETTINGS)
     assert not (depth > 0).any()
 
 

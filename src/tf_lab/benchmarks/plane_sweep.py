@@ -8,12 +8,12 @@ other views do not confirm go; the rest is fused as depth of a sensor is.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
@@ -21,18 +21,14 @@ from tf_lab.data.capture import Capture
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.tsdf import bounds_of, extract_mesh, fuse_in_slabs, join
 from tf_lab.errors import TFLabError
-from tf_lab.geometry import (
-    VoxelGrid,
-    invert_pose,
-    pixel_directions,
-    project,
-    sample_maps,
-    transform,
-)
+from tf_lab.geometry import VoxelGrid, invert_pose, pixel_directions, project, transform
 from tf_lab.online.captures import Reconstruction
+from tf_lab.stereo.cost import View, sweep
 from tf_lab.stereo.sources import choose_sources
 
 log = logging.getLogger(__name__)
+
+AT_ONCE = 12  # planes: memory grows with them, by some 30 MB each at 640x480
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,6 @@ def plane_sweep(
     keyframe_distance: float = 0.1,
     settings: PlaneSweepSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
-    device: torch.device | str = "cpu",
 ) -> Reconstruction:
     """Reconstruct a capture from its keyframes by stereo; frames that can't be read are skipped.
 
@@ -78,30 +73,27 @@ def plane_sweep(
         keyframe_distance: see `tf_lab.data.keyframes`; 0 takes every frame.
         settings: see `PlaneSweepSettings`.
         progress: called with (frames done, frames in all).
-        device: where to compute.
 
     Raises:
         TFLabError: no frame can be read.
     """
     s = settings or PlaneSweepSettings()
-    views, skipped = _read(
-        capture, select_keyframes(capture.world_T_cam, keyframe_distance), device
-    )
+    views, skipped = _read(capture, select_keyframes(capture.world_T_cam, keyframe_distance))
     count = len(views.frames)
-    depths = torch.zeros(count, *views.grey.shape[2:], device=device)
+    depths = torch.zeros(count, *views.grey.shape[1:])
     for i in range(count):
         sources = views.sources(i, s)
         if sources:
-            depths[i] = sweep(views, i, sources, s)
+            depths[i] = swept(views, i, sources, s)
         if progress is not None:
             progress(i + 1, count)
-    kept = [checked(depths, views, i, s).cpu() for i in range(count)]
+    kept = [checked(depths, views, i, s) for i in range(count)]
     return Reconstruction(_fused(kept, views, s), views.frames, skipped)
 
 
 @dataclass(frozen=True)
 class Views:
-    """Keyframes: numbers, grey images [N, 1, H, W] in 0..1, K [N, 3, 3], world_T_cam [N, 4, 4]."""
+    """Keyframes: numbers, grey images [N, H, W] in 0..1, K [N, 3, 3], world_T_cam [N, 4, 4]."""
 
     frames: list[int]
     grey: Tensor
@@ -111,17 +103,19 @@ class Views:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height), pixels."""
-        return self.grey.shape[3], self.grey.shape[2]
+        return self.grey.shape[2], self.grey.shape[1]
+
+    def __getitem__(self, i: int) -> View:
+        """View i."""
+        return View(*(part[i].numpy() for part in (self.grey, self.K, self.world_T_cam)))
 
     def sources(self, i: int, settings: PlaneSweepSettings) -> list[int]:
         """The views to compare view i with."""
-        poses = self.world_T_cam.cpu().numpy()
+        poses = self.world_T_cam.numpy()
         return choose_sources(poses, i, settings.sources, settings.baseline)
 
 
-def _read(
-    capture: Capture, keyframes: Sequence[int], device: torch.device | str
-) -> tuple[Views, list[str]]:
+def _read(capture: Capture, keyframes: Sequence[int]) -> tuple[Views, list[str]]:
     images, used, skipped = [], [], []
     for i in keyframes:
         try:
@@ -134,59 +128,20 @@ def _read(
         first = skipped[0] if skipped else "there is none"
         raise TFLabError(f"{capture.name}: no keyframe can be read; the first: {first}")
     cameras = (torch.from_numpy(part[used]).float() for part in (capture.K, capture.world_T_cam))
-    K, world_T_cam = (part.to(device) for part in cameras)
-    grey = torch.from_numpy(np.stack(images))[:, None].to(device)
-    return Views(used, grey, K, world_T_cam), skipped
+    return Views(used, torch.from_numpy(np.stack(images)), *cameras), skipped
 
 
-def sweep(views: Views, i: int, sources: Sequence[int], settings: PlaneSweepSettings) -> Tensor:
+def swept(views: Views, i: int, sources: Sequence[int], settings: PlaneSweepSettings) -> Tensor:
     """Depth [H, W] (metres) of view i; 0 where no plane is good enough."""
-    s, size = settings, views.size
-    inverse = torch.linspace(1 / s.far, 1 / s.near, s.planes, device=views.grey.device)
-    rays = pixel_directions(views.K[i], size).flatten(0, 1)  # [H * W, 3]
-    points = transform(views.world_T_cam[i], (rays / inverse[:, None, None]).flatten(0, 1))
-    here = Patches.of(views.grey[i], s.window)
-    scores = []
-    for j in sources:
-        uv, depth = project(points, views.K[j], invert_pose(views.world_T_cam[j]))
-        warped = sample_maps(views.grey[j : j + 1], uv[None], size)[0, :, 0]
-        u, v = uv.unbind(-1)
-        inside = (depth > 0) & (u >= 0) & (u <= size[0] - 1) & (v >= 0) & (v <= size[1] - 1)
-        there = Patches.of(warped.view(s.planes, 1, size[1], size[0]), s.window)
-        score = here.correlation(there).masked_fill(~inside.view(s.planes, size[1], size[0]), -1)
-        scores.append(score)
-    best = torch.stack(scores).topk(min(s.best, len(scores)), dim=0).values.mean(0)
+    s, others = settings, [views[j] for j in sources]
+    inverse = np.linspace(1 / s.far, 1 / s.near, s.planes, dtype=np.float32)
+    parts = np.array_split(inverse, math.ceil(s.planes / AT_ONCE))
+    scores = [sweep(views[i], others, part, s.window, s.best) for part in parts]
+    best = torch.from_numpy(np.concatenate(scores))
     top, plane = best.max(0)
-    depth = 1 / _between(best, plane, inverse)
+    depth = 1 / _between(best, plane, torch.from_numpy(inverse))
     border = (plane == 0) | (plane == s.planes - 1)
     return torch.where((top >= s.least) & ~border, depth, torch.zeros_like(depth))
-
-
-@dataclass(frozen=True)
-class Patches:
-    """Images [..., 1, H, W] with the means and deviations of their windows."""
-
-    image: Tensor
-    mean: Tensor
-    deviation: Tensor
-    window: int
-
-    @classmethod
-    def of(cls, image: Tensor, window: int) -> Patches:
-        """Of an image."""
-        image = image if image.ndim == 4 else image[None]
-        mean = _box(image, window)
-        variance = (_box(image * image, window) - mean * mean).clamp(min=0)
-        return cls(image, mean, (variance + 1e-6).sqrt(), window)
-
-    def correlation(self, other: Patches) -> Tensor:
-        """ZNCC [N, H, W] with the windows at the same places of others."""
-        covariance = _box(self.image * other.image, self.window) - self.mean * other.mean
-        return (covariance / (self.deviation * other.deviation))[:, 0]
-
-
-def _box(image: Tensor, window: int) -> Tensor:
-    return F.avg_pool2d(image, window, 1, window // 2, count_include_pad=False)
 
 
 def _between(scores: Tensor, plane: Tensor, inverse: Tensor) -> Tensor:
@@ -203,7 +158,7 @@ def checked(depths: Tensor, views: Views, i: int, settings: PlaneSweepSettings) 
     s, size, depth = settings, views.size, depths[i]
     rays = pixel_directions(views.K[i], size) * depth[..., None]
     points = transform(views.world_T_cam[i], rays.flatten(0, 1))
-    votes = torch.zeros(depth.numel(), device=depth.device)
+    votes = torch.zeros(depth.numel())
     for j in views.sources(i, s):
         uv, z = project(points, views.K[j], invert_pose(views.world_T_cam[j]))
         u, v = uv.round().long().unbind(-1)
@@ -217,14 +172,8 @@ def _fused(depths: Sequence[Tensor], views: Views, s: PlaneSweepSettings) -> tri
     """The mesh of depth maps; empty if there is no depth at all."""
     if not any(bool((depth > 0).any()) for depth in depths):
         return trimesh.Trimesh()
-    K, poses = views.K.cpu(), views.world_T_cam.cpu()
+    K, poses = views.K, views.world_T_cam
     lower, upper = bounds_of(depths, K, poses, s.truncation + s.voxel, stride=1)
     grid = VoxelGrid.covering(lower.tolist(), upper.tolist(), s.voxel)
-    return join(list(_meshes(depths, K, poses, grid, s)))
-
-
-def _meshes(
-    depths: Sequence[Tensor], K: Tensor, poses: Tensor, grid: VoxelGrid, s: PlaneSweepSettings
-) -> Iterator[trimesh.Trimesh]:
-    for _, slab in fuse_in_slabs(depths, K, poses, grid, s.truncation, s.far):
-        yield extract_mesh(slab)
+    slabs = fuse_in_slabs(depths, K, poses, grid, s.truncation, s.far)
+    return join([extract_mesh(slab) for _, slab in slabs])

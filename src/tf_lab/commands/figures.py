@@ -200,8 +200,7 @@ class Workbench:
             if frames is not None:
                 capture = Thinned(capture, frames, distance)
             if isinstance(how, str):
-                device = device_of(self.config.device)
-                self._made[key] = plane_sweep(capture, distance, device=device)
+                self._made[key] = plane_sweep(capture, distance)
             else:
                 self._made[key] = reconstruct(self.network, capture, how)
         return self._made[key]

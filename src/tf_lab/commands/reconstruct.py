@@ -126,8 +126,7 @@ def _reconstruct(network: Network, capture: Capture, config: ReconstructConfig) 
             bar.update(task, completed=done, total=total, description=text)
 
         if config.method == STEREO:
-            distance, device = settings.keyframe_distance, device_of(config.device)
-            return plane_sweep(capture, distance, progress=show, device=device)
+            return plane_sweep(capture, settings.keyframe_distance, progress=show)
         return reconstruct(network, capture, settings, show)
 
 
