@@ -75,6 +75,7 @@ def logs(output: Path) -> list[bool]:
     return [Path(job["log"]).is_file() for job in jobs if "log" in job]
 
 
+@pytest.mark.long
 def test_a_sweep_of_six_trains_once(
     train: Train, tmp_path: Path, jobs_in_process: list[list[str]]
 ) -> None:

@@ -94,6 +94,7 @@ def test_images_of_another_size_than_its_own(
     train: Train, checkpoint: Path, tmp_path: Path
 ) -> None:
     other = ("data.width=96", "data.height=64", "optimizer.steps=1", f"init={checkpoint}")
+    other += ("data.frames=6", "data.val_size=0")
     result = train(NO_TEST, *other, f"output={tmp_path}")
     assert result.status == 0
     (line,) = result.err.splitlines()
