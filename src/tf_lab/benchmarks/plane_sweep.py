@@ -28,7 +28,7 @@ from tf_lab.stereo.sources import choose_sources
 
 log = logging.getLogger(__name__)
 
-AT_ONCE = 12  # planes: memory grows with them, by some 30 MB each at 640x480
+AT_ONCE = 12  # planes: what a sweep holds in memory grows with them
 
 
 @dataclass(frozen=True)
