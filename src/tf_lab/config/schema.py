@@ -287,7 +287,7 @@ class ReconstructConfig(CaptureConfig):
     )
     decimate: float = setting(1.0, "share of the mesh's faces that is written", above=0, most=1)
     method: str = setting(
-        "network", "or plane_sweep: classical stereo at the same image size, to compare with"
+        "network", "or plane_sweep: classical stereo at the same size, on the CPU, to compare with"
     )
     source_frame: bool = setting(
         False, "write the mesh in the source's world instead of the z-up one"
