@@ -189,6 +189,23 @@ def test_encoder_weights_are_known_by_their_content(checkpoint: Path, tmp_path: 
     assert keys[0] == keys[1] != keys[2]
 
 
+def test_our_encoder_is_known_by_its_content(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another version of tf_lab may ship another one under the same word."""
+    shipped = tmp_path / "tiny-encoder.safetensors"
+    monkeypatch.setattr("tf_lab.network.checkpoint.SHIPPED", tmp_path)
+
+    def directory(weights: object) -> Path:
+        return training_directory(tiny_config("encoder=resnet_tiny", f"encoder.weights={weights}"))
+
+    keys = []
+    for scale in (1.0, 2.0):
+        save_file({"conv1.weight": torch.ones(3) * scale}, shipped)
+        keys.append(directory("rooms"))
+    assert keys[0] != keys[1] == directory(shipped)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

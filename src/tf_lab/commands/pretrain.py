@@ -26,8 +26,9 @@ from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.provenance import provenance
 from tf_lab.network.encoders import make_encoder
 from tf_lab.network.encoders.pyramid import Encoder
+from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.turning import turn_like
-from tf_lab.network.encoders.weights import load_encoder
+from tf_lab.network.encoders.weights import RANDOM, ROOMS, load_encoder
 from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
@@ -108,7 +109,7 @@ def _identity(config: PretrainConfig, scenes: Sequence[Path]) -> str:
 
     A scene's directory and the two above it say what it was made of, and how.
     """
-    start = with_encoder_digest(config.encoder, Content()).encoder
+    start = with_encoder_digest(_start(config), config.model.name, Content()).encoder
     return key_of(shaping(config, "weights"), start, [path.parts[-3:] for path in scenes])
 
 
@@ -119,14 +120,18 @@ def _portable(config: PretrainConfig) -> dict[str, Any]:
     return {**portable_config(replace(config, encoder=named)), **files}
 
 
-def _encoder(config: PretrainConfig) -> tuple[Encoder, float]:
-    """The encoder with the weights it starts from, and its trunk's learning rate over the others'.
+def _start(config: PretrainConfig) -> EncoderSettings:
+    """The encoder's settings with the weights that it starts from.
 
     ``encoder.weights=rooms`` is what is made here, and starts from none, unless it is scored.
     """
-    settings = config.encoder
-    if settings.weights == "rooms" and config.steps:
-        settings = replace(settings, weights="none")
+    made = config.encoder.weights == ROOMS and config.steps
+    return replace(config.encoder, weights=RANDOM) if made else config.encoder
+
+
+def _encoder(config: PretrainConfig) -> tuple[Encoder, float]:
+    """The encoder as it starts, and its trunk's learning rate over the others'."""
+    settings = _start(config)
     encoder = make_encoder(**settings.architecture())
     initialise_encoder(encoder, settings, config.model.name)
     factor = config.trunk_factor

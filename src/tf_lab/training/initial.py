@@ -22,10 +22,15 @@ from tf_lab.config.build import build_network, initialise_encoder
 from tf_lab.config.schema import TrainConfig
 from tf_lab.data.sources.settings import Content
 from tf_lab.errors import TFLabError
-from tf_lab.network.checkpoint import checkpoint_file, load_network, shipped_checkpoint
+from tf_lab.network.checkpoint import (
+    checkpoint_file,
+    load_network,
+    shipped_checkpoint,
+    shipped_encoder,
+)
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.encoders.settings import EncoderSettings
-from tf_lab.network.encoders.weights import load_encoder, read_state_dict, weights_file
+from tf_lab.network.encoders.weights import ROOMS, load_encoder, read_state_dict, weights_file
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.state import read_state
@@ -75,7 +80,7 @@ def with_initial_digests(config: TrainConfig, content: Content) -> Content:
     """
     path = initial_path(config)
     if path is None:
-        return with_encoder_digest(config.encoder, content)
+        return with_encoder_digest(config.encoder, config.model.name, content)
     start = read_state(path) if _is_state(path) else _weights(path)
     content = replace(content, init=_digest(start))
     if config.init_encoder is None:
@@ -88,13 +93,17 @@ def with_initial_digests(config: TrainConfig, content: Content) -> Content:
     return replace(content, encoder=_digest(read_state_dict(Path(config.init_encoder))))
 
 
-def with_encoder_digest(encoder: EncoderSettings, content: Content) -> Content:
+def with_encoder_digest(encoder: EncoderSettings, model: str, content: Content) -> Content:
     """With a hash of what is in the file that an encoder's weights come from, if they do.
+
+    Ours ("rooms") are another file in another version of tf_lab; what others published stays.
 
     Raises:
         TFLabError: it cannot be read.
     """
     file = weights_file(encoder.weights, ENCODERS[encoder.name].load())
+    if encoder.weights == ROOMS and (shipped := shipped_encoder(model, encoder.name)).is_file():
+        file = shipped
     return content if file is None else replace(content, encoder=_digest(read_state_dict(file)))
 
 
