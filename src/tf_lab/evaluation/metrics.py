@@ -22,28 +22,27 @@ MAX_DISTANCE = 1.0  # metres: larger distances count as this
 VISIBLE = 1 - 1e-5  # least interpolated visibility of a point that counts as observed
 
 
-def distances(from_points: np.ndarray, to_points: np.ndarray, workers: int = -1) -> np.ndarray:
+def distances(from_points: np.ndarray, to_points: np.ndarray) -> np.ndarray:
     """Distance of each point to the nearest of another set, capped at `MAX_DISTANCE`.
 
     Args:
         from_points: [P, 3] metres.
         to_points: [Q, 3] metres; may be empty, then every distance is the cap.
-        workers: threads of the search, -1 for all cores.
 
     Returns:
         float64 [P], metres.
     """
-    return nearest(from_points, to_points, workers)[0]
+    return nearest(from_points, to_points)[0]
 
 
-def nearest(
-    from_points: np.ndarray, to_points: np.ndarray, workers: int = -1
-) -> tuple[np.ndarray, np.ndarray]:
+def nearest(from_points: np.ndarray, to_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """As `distances`, and the index [P] of the nearest point: Q where there is none in reach."""
     if len(from_points) == 0 or len(to_points) == 0:
         return np.full(len(from_points), MAX_DISTANCE), np.zeros(len(from_points), int)
     found, index = cKDTree(to_points).query(
-        from_points, distance_upper_bound=MAX_DISTANCE, workers=workers
+        from_points,
+        distance_upper_bound=MAX_DISTANCE,
+        workers=-1,  # all cores
     )
     return np.minimum(found, MAX_DISTANCE), index  # beyond the bound the tree answers infinity
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from tf_lab.geometry import invert_pose, project, sample_maps
 
 CELL = 4  # pixels, of the depth buffer
+BEHIND = 0.05  # metres; a vertex further behind the surface that an image sees is hidden
 STEEPEST = 0.5  # metres of depth that a surface may have in one of its cells
 
 
@@ -20,7 +21,6 @@ def color_vertices(
     images: Sequence[Tensor],
     K: Tensor,
     world_T_cam: Tensor,
-    tolerance: float = 0.05,
     occluders: np.ndarray | None = None,
 ) -> None:
     """Give the vertices the mean colour of the images that see them, in place.
@@ -30,7 +30,6 @@ def color_vertices(
         images: uint8 [3, H, W], N of them.
         K: [N, 3, 3].
         world_T_cam: [N, 4, 4].
-        tolerance: a vertex this much (metres) behind the surface that an image sees is hidden.
         occluders: [P, 3], metres: points of other surfaces that may hide the mesh, densely.
     """
     vertices = torch.from_numpy(np.asarray(mesh.vertices)).float()
@@ -46,7 +45,7 @@ def color_vertices(
         index = seen.nonzero().squeeze(1)
         nearest = _depth_of_points(u[index], v[index], depth[index], size)
         index, nearest = index[index < len(vertices)], nearest[index < len(vertices)]
-        reach = tolerance + _depth_in_cell(vertices[index], normals[index], k, pose)
+        reach = BEHIND + _depth_in_cell(vertices[index], normals[index], k, pose)
         index = index[depth[index] < nearest + reach]
         color = sample_maps(image[None].float(), uv[None, index], size)[0]
         w = 1 / depth[index, None].clamp(min=0.3) ** 2  # near views are sharper

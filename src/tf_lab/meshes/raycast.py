@@ -16,6 +16,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 CLAY = (0.66, 0.74, 0.84)
+CUT = 0.5  # metres, off the top of a room to look into
 FINE = 2  # rays a pixel along each axis
 LIGHT = np.array([-0.45, -0.35, 0.85])
 AMBIENT_RAYS = 12
@@ -42,20 +43,19 @@ class Hits:
 
 
 def overview_camera(
-    bounds: np.ndarray, size: tuple[int, int] = (640, 480), cut: float = 0.5
+    bounds: np.ndarray, size: tuple[int, int] = (640, 480)
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """A bird's-eye view of a room without its ceiling, filled by the room.
 
     Args:
         bounds: [2, 3] lower and upper corner, metres, z up.
         size: (width, height) of the picture, pixels.
-        cut: metres taken off the top.
 
     Returns:
         K [3, 3], world_T_cam [4, 4] and the height (m) of the cut, for `render_mesh`.
     """
     lower, upper = np.asarray(bounds, np.float64)
-    ceiling = max(upper[2] - cut, (lower[2] + upper[2]) / 2)
+    ceiling = max(upper[2] - CUT, (lower[2] + upper[2]) / 2)
     top = np.array([upper[0], upper[1], ceiling])
     # The long side lies across the picture; 25 degrees off the axis shows two walls.
     heading = math.radians(25 if upper[0] - lower[0] >= upper[1] - lower[1] else 115)

@@ -106,9 +106,9 @@ def _config_for(path: Path, text: str) -> NetworkConfig:
     return config
 
 
-def shipped_checkpoint(name: str = "tiny") -> Path:
+def shipped_checkpoint() -> Path:
     """The checkpoint that comes with the package."""
-    return SHIPPED / f"{name}.safetensors"
+    return SHIPPED / "tiny.safetensors"
 
 
 def shipped_encoder(model: str, encoder: str = "resnet") -> Path:

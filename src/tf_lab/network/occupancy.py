@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+MODULES = 3  # in the paper
+
 
 class FeedForward(nn.Module):
     """Layer norm, ReLU, linear layer, residual connection."""
@@ -25,13 +27,12 @@ class OccupancyMLP(nn.Module):
     Args:
         width: D of the refined features.
         hidden: width of the modules.
-        modules: 3 in the paper.
     """
 
-    def __init__(self, width: int, hidden: int, modules: int = 3) -> None:
+    def __init__(self, width: int, hidden: int) -> None:
         super().__init__()
         self.input = nn.Linear(2 * width, hidden)
-        self.feed_forward = nn.Sequential(*(FeedForward(hidden) for _ in range(modules)))
+        self.feed_forward = nn.Sequential(*(FeedForward(hidden) for _ in range(MODULES)))
         self.output = nn.Linear(hidden, 1)
 
     def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:

@@ -13,6 +13,8 @@ from torch import Tensor
 from tf_lab.geometry import in_view, project
 from tf_lab.online.lattice.level import Level
 
+BATCH = 1 << 14  # voxels at a time
+
 
 @dataclass(frozen=True)
 class ViewSets:
@@ -95,11 +97,11 @@ def _spread(level: Level, rows: Tensor, held: Tensor, filled: Tensor) -> float:
     return math.degrees(_mean(mean))
 
 
-def _variety(level: Level, rows: Tensor, batch: int = 1 << 14) -> Tensor:
+def _variety(level: Level, rows: Tensor) -> Tensor:
     """How many different frames are held around each of rows [M]: int64 [M]."""
     steps = torch.cartesian_prod(*[torch.arange(-1, 2, device=rows.device)] * 3)
     found = []
-    for part in rows.split(batch):
+    for part in rows.split(BATCH):
         around = level.blocks.row_of(level.blocks.voxels(part)[:, None] + steps)  # [M, 27]
         frames = level.store.frames[around.clamp(min=0)]
         frames = frames.masked_fill((around < 0).unsqueeze(-1), -1).flatten(1).sort(1).values
