@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from helpers.builders import build, crash, die, exhaust, fail
+from helpers.builders import build, crash, die, exhaust, fail, need_it_all
 from tf_lab.data.sources.scene_jobs import SceneJob, build_scenes
 from tf_lab.errors import TFLabError
 
 
 def jobs(root: Path, names: Sequence[str]) -> list[SceneJob]:
-    builders = {"bad": fail, "bug": crash, "large": die, "gpu": exhaust}
+    builders = {"bad": fail, "bug": crash, "large": die, "gpu": exhaust, "all": need_it_all}
     return [SceneJob(root / n, builders.get(n.split("_")[0], build)) for n in names]
 
 
@@ -60,6 +60,12 @@ def test_a_process_that_dies_takes_no_other_scene_with_it(tmp_path: Path) -> Non
     assert "gpu: its process ran out of memory" in message
     for name in names:
         assert (tmp_path / name).is_dir() == name.startswith("good")
+
+
+def test_what_is_too_much_for_two_at_a_time_is_done_by_one(tmp_path: Path) -> None:
+    names = ["all_1", "all_2", "all_3"]
+    build_scenes(jobs(tmp_path, names), "building", workers=3)
+    assert all((tmp_path / name / "first.txt").exists() for name in names)
 
 
 def test_nothing_missing_starts_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

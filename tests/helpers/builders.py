@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import torch
@@ -29,6 +30,18 @@ def die(directory: Path) -> None:
 
 def exhaust(directory: Path) -> None:
     raise torch.OutOfMemoryError("CUDA out of memory")
+
+
+def need_it_all(directory: Path) -> None:
+    """As where a GPU's memory is enough for one: fails while another process does this, too."""
+    alone = directory.parent / "alone"
+    try:
+        alone.touch(exist_ok=False)
+    except FileExistsError as error:
+        raise torch.AcceleratorError("CUDA error: out of memory") from error
+    time.sleep(0.5)
+    build(directory)
+    alone.unlink()
 
 
 def crash(directory: Path) -> None:

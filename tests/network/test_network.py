@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from helpers.toy_views import COARSE, FINE, toy
@@ -128,6 +129,26 @@ def test_gradient_reaches_every_parameter(
         # a softmax doesn't feel what is added to all logits
         if not name.endswith(("key.bias", "score.bias")):
             assert parameter.grad.abs().max() > 0, name
+
+
+def test_gradients_in_half_precision_are_those_of_single(
+    tiny_network: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a voxel's channels are alike, dividing by their deviation overflows float16."""
+    network, inputs = tiny_network(), toy()
+    fine_target = torch.rand(2, 15, 15, 15, generator=torch.Generator().manual_seed(1)) < 0.3
+    sdf = torch.randn(2, 40, generator=torch.Generator().manual_seed(2))
+    found = []
+    for enabled in (False, True):
+        network.zero_grad()
+        with torch.autocast("cpu", torch.float16, enabled=enabled):
+            predictions = network(**inputs)
+            terms = losses(predictions, inputs["coarse_target"], fine_target, sdf, True, 0.0)
+        (1024 * terms["loss"]).backward()  # as a scaler does
+        found.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
+    exact, half = found
+    assert torch.isfinite(half).all()
+    assert F.cosine_similarity(exact, half, dim=0) > 0.99
 
 
 def test_without_refinement_no_convolution_spans_voxels(tiny_network: Factory) -> None:

@@ -5,16 +5,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from helpers.online.pretended_gpu import CUDA, PretendedGpu, on_gpu
 from helpers.online.scenes import FRAMES, Factory, add, assert_same_surface, balanced, settings_of
+from helpers.toy_views import toy
 from tf_lab.benchmarks.eager import EagerReconstructor
+from tf_lab.config.groups import OptimizerSettings
+from tf_lab.data.chunks import ChunkBatch
 from tf_lab.data.scene import Scene
 from tf_lab.network.agreement import Agreement
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views import POLICIES, make_policy
 from tf_lab.online.views.batch import BatchSelection
+from tf_lab.training.module import Training
 
 
 @pytest.mark.parametrize(
@@ -75,6 +80,35 @@ def test_choosing_and_comparing_views_in_training_waits_for_nothing(name: str) -
         told = agreement(Measurements(*parts))
         assert kept.device.type == told.device.type == "cuda"
         assert not gpu.waits
+
+
+@pytest.mark.parametrize("rule", ["attention", "random", "diverse"])
+def test_a_training_step_waits_for_list_lengths_only(tiny_network: Factory, rule: str) -> None:
+    """What is near, and which voxels of how many chunks have views: the data alone says it."""
+    network, inputs = tiny_network(), toy()
+    batch = ChunkBatch(
+        images=inputs["views"].images.byte(),
+        K=inputs["views"].K,
+        world_T_cam=inputs["views"].world_T_cam,
+        times=torch.arange(3).expand(2, 3),
+        coarse_target=inputs["coarse_target"],
+        fine_target=torch.rand(2, 15, 15, 15) < 0.3,
+        points=inputs["points"],
+        sdf=torch.randn(2, 40),
+        draws=torch.ones(2, dtype=torch.int64),
+        keep=2,
+        rule=rule,
+    )
+    rates: dict[str, Any] = {"lr": 1e-3, "weight_decay": 0.0, "schedule": "cosine", "warmup": 0}
+    optimizer = OptimizerSettings(**rates, steps=9, clip=0.0, encoder_factor=1.0)
+    with PretendedGpu() as gpu:
+        module = Training(on_gpu(network), optimizer, 0.5, settings_of(views=2))
+        module.log_dict = lambda *_, **__: None  # type: ignore[method-assign]
+        moved = batch.pin_memory().to(CUDA)
+        assert {x.device.type for x in vars(moved).values() if isinstance(x, Tensor)} == {"cuda"}
+        loss = module.training_step(moved, 0)["loss"]
+        assert gpu.waits == {"nonzero": 6, "__int__": 1, "__setitem__": 1}
+    assert torch.isfinite(loss)
 
 
 def test_the_pretended_gpu_is_strict() -> None:

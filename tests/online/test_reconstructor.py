@@ -1,5 +1,7 @@
 """Lazy, sparse reconstruction against references, and the independence it promises."""
 
+import gc
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,22 @@ def clear_points(grid: VoxelGrid, scene: Scene, count: int) -> np.ndarray:
     clear = np.stack([clearance(points, scene, f) for f in FRAMES])
     usable = (np.abs(clear).min(0) > 1e-4) & ((clear.max(0) > 0) | (np.arange(len(every)) % 9 == 0))
     return np.random.default_rng(0).permutation(every[usable])[:count]
+
+
+def test_a_reconstruction_is_freed_when_nobody_holds_it(
+    tiny_network: Factory, scene: Scene
+) -> None:
+    """At once: the cycles that Python looks for now and then would keep a GPU's memory."""
+    gc.collect()
+    gc.disable()
+    try:
+        r = reconstruct(balanced(tiny_network(), scene), scene, views=3)
+        gone = weakref.ref(r)
+        assert len(r.mesh().faces)
+        del r
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def fuse_by_hand(

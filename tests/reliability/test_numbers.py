@@ -6,6 +6,7 @@ from pathlib import Path
 import lightning as L
 import pytest
 import torch
+from lightning.pytorch.plugins import MixedPrecision
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -14,6 +15,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.network.encoders.weights import read_state_dict
 from tf_lab.network.network import Network
+from tf_lab.training.finite import Finite
 from tf_lab.training.fit import FitSettings, fit
 from tf_lab.training.state import read_state
 
@@ -62,6 +64,13 @@ class Goes(L.LightningModule):
         return torch.optim.SGD(self.parameters(), 0.01)
 
 
+class AlwaysOverflows(Goes):
+    """Its loss is fine at every step, its gradient never."""
+
+    def training_step(self, batch: Batch, batch_idx: int) -> dict[str, Tensor]:
+        return {"loss": self.weight.sum() + (self.weight - self.weight.detach()).abs().sum().sqrt()}
+
+
 def train(directory: Path, what: str, value: float, at: int, steps: int = 9) -> None:
     settings = FitSettings(steps=steps, save_every=2, clip=1.0)
     fit(Goes(what, value, at), Steps, directory, CPU, settings, loggers=[])
@@ -93,6 +102,28 @@ def test_weights_that_are_not_finite_are_not_saved(at: int, kept: str, tmp_path:
         train(tmp_path, "weight", INF, at, steps=at + 1)
     last = tmp_path / "last.ckpt"
     assert not last.exists() or read_state(last)["global_step"] == 2
+
+
+@pytest.mark.parametrize(("steps", "told"), [(10, False), (20, True)])
+def test_a_training_whose_steps_are_skipped_is_told(steps: int, told: bool, tmp_path: Path) -> None:
+    """Of a gradient that overflows at every scale; at first a scale has to be found."""
+    trainer = L.Trainer(
+        max_steps=steps,
+        accelerator="cpu",
+        plugins=[MixedPrecision("16-mixed", "cpu")],
+        callbacks=[Finite(tmp_path / "last.ckpt")],
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    module = AlwaysOverflows("", 1.0, -1)
+    if told:
+        with pytest.raises(TFLabError, match=r"^step 20: most steps were skipped, .*bf16-mixed"):
+            trainer.fit(module, Steps())
+    else:
+        trainer.fit(module, Steps())
+    assert module.weight == 1
 
 
 def test_they_are_refused_wherever_weights_are_read(

@@ -198,11 +198,12 @@ def test_what_is_wrong_with_the_trainer_is_told_before_data_is_made(tmp_path: Pa
         fit(Line(), data, tmp_path, wrong, FitSettings(9, 2), loggers=[])
 
 
-@pytest.mark.skipif(torch.accelerator.is_available(), reason="there is one")
-def test_a_gpu_that_is_not_there(tmp_path: Path) -> None:
-    wrong = TrainerSettings(accelerator="gpu")
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is one")
+@pytest.mark.parametrize("name", ["gpu", "cuda"])
+def test_a_gpu_that_is_not_there(name: str, tmp_path: Path) -> None:
+    wrong = TrainerSettings(accelerator=name)
     with pytest.raises(
-        TFLabError, match=r"^trainer\.accelerator=gpu: torch sees no GPU here; leave "
+        TFLabError, match=rf"^trainer\.accelerator={name}: torch sees no CUDA GPU here; leave "
     ):
         fit(Line(), Numbers, tmp_path, wrong, FitSettings(9, 2), loggers=[])
 

@@ -45,7 +45,8 @@ def fit_weights(
         finish: what is done to the trained network before it is written; of 0 steps it is written
             for this.
     """
-    alone = replace(trainer, devices=1, strategy="auto")
+    named = isinstance(trainer.devices, list)  # which, not how many
+    alone = replace(trainer, devices=trainer.devices[:1] if named else 1, strategy="auto")
 
     def end(write: bool) -> None:
         scores = _scores(score(module, data, alone), sets)  # of the weights as they are now

@@ -26,6 +26,7 @@ from tf_lab.experiments.provenance import provenance
 from tf_lab.experiments.reuse import earlier_state, print_reuse
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.stereo.depth import stereo_identity
+from tf_lab.support.devices import accelerator_of, use_tensor_cores
 from tf_lab.support.files import check_folder, write_json
 from tf_lab.support.headers import read_info
 from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, WEIGHTS
@@ -49,7 +50,7 @@ from tf_lab.training.objects import make_callbacks
 
 def run(config: TrainConfig) -> None:
     """Train, evaluate, print the row in the paper's format."""
-    torch.set_float32_matmul_precision("high")
+    use_tensor_cores()
     # what is wrong with any setting is told before data is made
     check_network(config)
     check_test(config)
@@ -137,7 +138,11 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     module = SceneEvaluation(network, settings, metrics, run, row_label(config))
     t = config.trainer
     nodes = {name: value for name, value in t.others.items() if name == "num_nodes"}
-    devices = {"accelerator": t.accelerator, "devices": t.devices, "strategy": t.strategy}
+    devices = {
+        "accelerator": accelerator_of(t.accelerator),
+        "devices": t.devices,
+        "strategy": t.strategy,
+    }
     evaluate_network(module, scenes, **devices, **nodes)
 
 
@@ -205,12 +210,15 @@ def _take(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     _start(config, directory)
     network = make_network(config)
     _check_size(config)
-    if not is_helper():
-        sessions = TrainingSessions()
-        write_config(config, directory / CONFIG)
-        write_json(directory / ORIGIN, sessions.origin)
-        info = {**sessions.summary(), **_init(config), "config": portable_config(config)}
-        save_network(network, checkpoint, {"training": info})
+    if is_helper():
+        while not checkpoint.exists():  # the first process writes it
+            time.sleep(0.1)
+        return
+    sessions = TrainingSessions()
+    write_config(config, directory / CONFIG)
+    write_json(directory / ORIGIN, sessions.origin)
+    info = {**sessions.summary(), **_init(config), "config": portable_config(config)}
+    save_network(network, checkpoint, {"training": info})
 
 
 def _check_size(config: TrainConfig) -> None:

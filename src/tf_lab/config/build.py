@@ -18,7 +18,7 @@ from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.online.views import make_policy
-from tf_lab.support.devices import device_of
+from tf_lab.support.devices import device_of, use_tensor_cores
 from tf_lab.support.memory import check_memory
 
 TRAINED_BYTES = 16  # a weight, its gradient and Adam's two moments
@@ -111,6 +111,7 @@ def capture_settings(config: TrainConfig | CaptureConfig) -> ReconstructionSetti
 
 def ready(network: Network, online: OnlineSettings, device: torch.device) -> Network:
     """A network on the device that it reconstructs on, compiled if ``online.compile`` says so."""
+    use_tensor_cores()  # as when it was trained
     if online.compile:
         network.compile_parts()
     return network.to(device)

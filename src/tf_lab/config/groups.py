@@ -115,7 +115,7 @@ ELSEWHERE = {  # arguments of lightning.Trainer that a setting of ours is for
 class TrainerSettings:
     """On what and how a training computes: arguments of lightning.Trainer, and two of ours."""
 
-    accelerator: str = setting("auto", "auto, cpu, gpu")
+    accelerator: str = setting("auto", "auto (CUDA where there is one), cpu, gpu")
     devices: Any = setting(1, "how many, or auto: all", shapes="weights")
     precision: str = setting("32-true", "or bf16-mixed, 16-mixed", shapes="weights")
     strategy: str = setting("auto", "ddp for several devices")

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
+from tf_lab.data.batch import Batch
 from tf_lab.data.camera_noise import disturb_cameras, share_of
 from tf_lab.data.jpeg import decode_jpeg
 from tf_lab.data.readers.images import natural_order
@@ -71,7 +72,7 @@ class ChunkRecord:
 
 
 @dataclass
-class ChunkBatch:
+class ChunkBatch(Batch):
     """A batch of chunks, each in its own frame (its lower corner is the origin).
 
     Attributes:
@@ -103,15 +104,6 @@ class ChunkBatch:
     rule: str
     scenes: Sequence[str] = ()
     stereo: Tensor | None = None
-
-    def to(self, device: torch.device, non_blocking: bool = False) -> ChunkBatch:
-        """The batch on another device (Lightning calls this)."""
-        moved: dict[str, Any] = {
-            name: value.to(device, non_blocking=non_blocking)
-            for name, value in vars(self).items()
-            if isinstance(value, Tensor)
-        }
-        return replace(self, **moved)
 
 
 class ChunkSource(Protocol):

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
+from tf_lab.data.batch import Batch
 from tf_lab.data.capture import Capture
 from tf_lab.data.photometric import photometric
 from tf_lab.data.scene import Scene, cached_scene
@@ -24,7 +25,7 @@ NEAR, FAR = 0.3, 5.0  # metres
 
 
 @dataclass
-class PairBatch:
+class PairBatch(Batch):
     """Corresponding pixels of P points in pairs of images.
 
     Attributes:
@@ -37,11 +38,6 @@ class PairBatch:
     images: Tensor
     uv_a: Tensor
     uv_b: Tensor
-
-    def to(self, device: torch.device, non_blocking: bool = False) -> PairBatch:
-        """The batch on another device (Lightning calls this)."""
-        moved = {k: v.to(device, non_blocking=non_blocking) for k, v in vars(self).items()}
-        return PairBatch(**moved)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
+from tf_lab.data.batch import Batch
 from tf_lab.data.camera_noise import disturb_cameras, share_of
 from tf_lab.data.capture import Capture
 from tf_lab.data.photometric import photometric
@@ -28,16 +29,11 @@ TRIES = 100  # draws a frame
 
 
 @dataclass
-class SweepBatch:
+class SweepBatch(Batch):
     """Frames: scores float32 [B, P, h, w] of their planes, depth float32 [B, h, w] (0: unknown)."""
 
     scores: Tensor
     depth: Tensor
-
-    def to(self, device: torch.device, non_blocking: bool = False) -> SweepBatch:
-        """The batch on another device (Lightning calls this)."""
-        moved = {k: v.to(device, non_blocking=non_blocking) for k, v in vars(self).items()}
-        return SweepBatch(**moved)
 
 
 @dataclass(frozen=True)

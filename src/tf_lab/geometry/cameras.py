@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -104,10 +106,15 @@ def sample_maps(maps: Tensor, uv: Tensor, size: tuple[int, int], mode: str = "bi
     cover, in the image's pixels: the image, or `covered_pixels`. Beyond the border the nearest
     border value is returned; validity is told apart by `in_view`.
     """
-    grid = (uv + 0.5) * (2.0 / uv.new_tensor(size)) - 1.0
+    grid = (uv + 0.5) * (2.0 / constants(size, uv)) - 1.0
     grid = grid.clamp(-2, 2)  # huge coordinates of points beside the camera
     out = grid_sample(maps, grid[:, :, None], "border", mode)
     return out.squeeze(-1).transpose(1, 2)
+
+
+def constants(values: Sequence[float], like: Tensor) -> Tensor:
+    """Numbers [N] where another tensor is, made there: sending them would wait for a GPU."""
+    return torch.stack([like.new_full((), value) for value in values])
 
 
 def grid_sample(maps: Tensor, grid: Tensor, padding: str, mode: str = "bilinear") -> Tensor:

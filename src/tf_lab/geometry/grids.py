@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tf_lab.geometry.cameras import grid_sample
+from tf_lab.geometry.cameras import constants, grid_sample
 
 
 @dataclass(frozen=True)
@@ -51,24 +51,24 @@ class VoxelGrid:
         nx, ny, nz = (int(b) - int(a) for a, b in zip(low, high, strict=True))
         return VoxelGrid((x, y, z), self.voxel, (nx, ny, nz))
 
-    def centers(self) -> Tensor:
+    def centers(self, device: torch.device | None = None) -> Tensor:
         """Voxel centres [X, Y, Z, 3] in metres."""
         axes = [
-            o + (torch.arange(n, dtype=torch.float32) + 0.5) * self.voxel
+            o + (torch.arange(n, dtype=torch.float32, device=device) + 0.5) * self.voxel
             for o, n in zip(self.origin, self.shape, strict=True)
         ]
         return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
 
     def to_index(self, points: Tensor) -> Tensor:
         """Continuous voxel coordinates [..., 3] of points [..., 3]; integers are voxel centres."""
-        return (points - points.new_tensor(self.origin)) / self.voxel - 0.5
+        return (points - constants(self.origin, points)) / self.voxel - 0.5
 
     def sample(self, volume: Tensor, points: Tensor, padding: str = "border") -> Tensor:
         """Trilinear samples [..., P, C] of volumes [..., C, X, Y, Z] here at points [..., P, 3].
 
         ``padding`` says what lies outside: "border" or "zeros" (as torch has them).
         """
-        shape = points.new_tensor(self.shape)
+        shape = constants(self.shape, points)
         normalised = (self.to_index(points) + 0.5) * (2.0 / shape) - 1.0
         grid = normalised.flip(-1)  # grid_sample wants the last axis (z) first
         several = volume.reshape(-1, *volume.shape[-4:])

@@ -152,7 +152,7 @@ class Network(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Fused features [B, D, X, Y, Z], and which voxels a view sees, [B, X, Y, Z]."""
         B = len(views.images)
-        centers = grid.centers().to(maps.device).flatten(0, 2).expand(B, -1, -1)
+        centers = grid.centers(maps.device).flatten(0, 2).expand(B, -1, -1)
         voxels = torch.arange(centers.shape[1], device=maps.device).expand(B, -1)
         every = torch.ones_like(voxels, dtype=torch.bool)
         fused, some = self._fuse_voxels("coarse", maps, views, centers, voxels, every, keep)
@@ -164,7 +164,7 @@ class Network(nn.Module):
         self, maps: Tensor, views: Views, grid: VoxelGrid, near: Tensor, keep: KeepViews | None
     ) -> tuple[Tensor, Tensor]:
         """Fused features [B, D, X, Y, Z] of the voxels in near coarse ones, and which these are."""
-        centers = grid.centers().to(maps.device).flatten(0, 2)
+        centers = grid.centers(maps.device).flatten(0, 2)
         active = self._seen(centers, views).view(-1, *grid.shape) & upsample(near, first_axis=1)
         voxels, where = _first(active.flatten(1))
         fused, _ = self._fuse_voxels("fine", maps, views, centers[voxels], voxels, where, keep)

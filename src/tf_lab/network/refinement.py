@@ -21,6 +21,7 @@ class ChannelNorm(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """[B, C, X, Y, Z] -> the same shape."""
+        x = x.float()  # the gradient of rsqrt overflows float16 where a voxel's channels are alike
         variance, mean = torch.var_mean(x, dim=1, keepdim=True, correction=0)
         x = (x - mean) * torch.rsqrt(variance + 1e-5)
         return x * self.weight.view(-1, 1, 1, 1) + self.bias.view(-1, 1, 1, 1)

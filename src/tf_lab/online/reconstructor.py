@@ -16,6 +16,7 @@ the kept feature maps, so that the result does not depend on when that was found
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -82,6 +83,7 @@ class Reconstructor:
         self.coarse = self._level("coarse", COARSE)
         self.fine = self._level("fine", FINE)
         n = cells_per_voxel(FINE, settings.resolution)
+        me = weakref.proxy(self)  # in a cycle the maps would stay until Python looks for cycles
         self.pipeline = self.stages(
             self.network,
             self.coarse,
@@ -89,7 +91,7 @@ class Reconstructor:
             settings.threshold,
             n,
             settings.batch,
-            self.replay,
+            lambda coords: me.replay(coords),
         )
         self.surface = Surface(self.fine, n)
 

@@ -14,6 +14,29 @@ def is_there(name: str) -> bool:
     return device.type != "cuda" or (device.index or 0) < torch.cuda.device_count()
 
 
+def use_tensor_cores() -> None:
+    """Have GPUs multiply matrices in TF32, much faster than in float32."""
+    torch.set_float32_matmul_precision("high")
+
+
+def accelerator_of(name: str) -> str:
+    """What Lightning is to train on for ``trainer.accelerator``: CUDA where there is one, or a CPU.
+
+    Its own "auto" takes Apple's GPUs, too, which have no float64 to select views by.
+
+    Raises:
+        TFLabError: it is a GPU, and torch sees none.
+    """
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if name in ("gpu", "cuda") and not torch.cuda.is_available():
+        raise TFLabError(
+            f"trainer.accelerator={name}: torch sees no CUDA GPU here; leave trainer=gpu out (one "
+            "that is there is used), or install a torch that has CUDA"
+        )
+    return "cuda" if name == "gpu" else name
+
+
 def device_of(name: str, setting: str = "device") -> torch.device:
     """The device called "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1".
 

@@ -23,8 +23,8 @@ def run_tasks(
 ) -> dict[str, str]:
     """Run named tasks in processes; one that fails does not stop the others.
 
-    Where a process dies (the system's killer, when memory runs out), what is unfinished is tried
-    again in half as many, until it is known whose process dies.
+    Where memory runs out, a GPU's or the system's, whose killer ends a process, what is unfinished
+    is tried again in half as many, until it is known who finds none by itself.
 
     Args:
         tasks: picklable.
@@ -47,7 +47,7 @@ def run_tasks(
                 del unfinished[name]
                 failed[name] = NO_MEMORY
                 bar.advance(row)
-            workers = max(1, workers // 2)
+            workers = max(1, min(workers // 2, len(unfinished)))
     return failed
 
 
@@ -74,8 +74,11 @@ def _run_some(
                     continue
                 except TFLabError as error:
                     failed[futures[future]] = str(error)
-                except (MemoryError, torch.OutOfMemoryError):
-                    failed[futures[future]] = NO_MEMORY
+                except (MemoryError, torch.OutOfMemoryError, torch.AcceleratorError) as error:
+                    if workers > 1:  # fewer may all find what they need
+                        died = True
+                        continue
+                    failed[futures[future]] = f"{NO_MEMORY} ({error})".removesuffix(" ()")
                 del unfinished[futures[future]]
                 advance()
         except (Stopped, KeyboardInterrupt):  # else the pool would do all that is asked of it

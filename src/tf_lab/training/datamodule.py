@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 import lightning as L
+import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 from tf_lab.data.chunks import ChunkBatch, ChunkSource
@@ -46,6 +47,7 @@ class SceneDataModule(L.LightningDataModule):
             batch_size=None,
             num_workers=self.workers,
             prefetch_factor=4 if self.workers else None,
+            pin_memory=torch.cuda.is_available(),
         )
 
     def val_dataloader(self) -> DataLoader[Path | None]:
@@ -74,7 +76,12 @@ class StreamDataModule(L.LightningDataModule, Generic[T]):
     def train_dataloader(self) -> DataLoader[T]:
         """Batches from the trainer's current step on, so that a resumed run goes on with them."""
         step = batches_done(self.trainer) if self.trainer is not None else 0
-        return DataLoader(self.train(step), batch_size=None, num_workers=self.workers)
+        return DataLoader(
+            self.train(step),
+            batch_size=None,
+            num_workers=self.workers,
+            pin_memory=torch.cuda.is_available(),
+        )
 
     def val_dataloader(self) -> list[DataLoader[T]]:
         """A loader for every set."""

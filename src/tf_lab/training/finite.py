@@ -18,6 +18,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.finite import not_finite
 
 NORM = "gradient norm"
+LEAST_SCALE = 1.0  # of a loss in float16: less is only come to by overflow after overflow
 
 
 @dataclass(frozen=True)
@@ -96,18 +97,33 @@ class Finite(Callback):
     ) -> None:
         """Save nothing that is wrong."""
         self._check(self._step)
+        self._check_scale(trainer)
         if wrong := not_finite(checkpoint["state_dict"]):
             self._end(f"step {trainer.global_step}: the weights are not finite (first: {wrong[0]})")
 
     def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Look at the last step."""
         self._check(self._step)
+        self._check_scale(trainer)
 
     def _check(self, step: _Step | None) -> None:
         wrong = step.wrong() if step is not None else ""
         if wrong:
             self._end(wrong)
 
-    def _end(self, wrong: str) -> NoReturn:
+    def _check_scale(self, trainer: L.Trainer) -> None:
+        """That steps were taken: the scaler of ``16-mixed`` skips those that overflow."""
+        scaler = getattr(trainer.precision_plugin, "scaler", None)
+        scale = math.inf if scaler is None else scaler.get_scale()
+        if scale < LEAST_SCALE:
+            self._end(
+                f"step {trainer.global_step}: most steps were skipped, as gradients overflow "
+                f"float16 even of the loss times {scale:.1g}",
+                "use trainer.precision=bf16-mixed or 32-true",
+            )
+
+    def _end(
+        self, wrong: str, cure: str = "try a lower learning rate or stronger clipping"
+    ) -> NoReturn:
         kept = f"{self.last} is kept" if self.last.exists() else "there is no checkpoint yet"
-        raise TFLabError(f"{wrong}; {kept}; try a lower learning rate or stronger clipping")
+        raise TFLabError(f"{wrong}; {kept}; {cure}")

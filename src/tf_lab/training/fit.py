@@ -18,6 +18,7 @@ from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
+from tf_lab.support.devices import accelerator_of
 from tf_lab.support.files import atomic_path, remove_abandoned, telling_no_space
 from tf_lab.support.layout import CONFIG, LAST, ORIGIN
 from tf_lab.support.locks import LOCK, NOTE, directory_lock
@@ -234,11 +235,7 @@ def _trainer(
     identity = [] if settings.identity is None else [_Identity(settings.identity)]
     every = min(settings.validate_every, settings.steps)
     batches = every * trainer.others.get("accumulate_grad_batches", 1)
-    if trainer.accelerator == "gpu" and not torch.accelerator.is_available():
-        raise TFLabError(
-            "trainer.accelerator=gpu: torch sees no GPU here; leave trainer=gpu out (one that is "
-            "there is used), or install a torch that has CUDA"
-        )
+    accelerator = accelerator_of(trainer.accelerator)
     try:
         return L.Trainer(
             max_steps=settings.steps,
@@ -255,7 +252,7 @@ def _trainer(
             enable_progress_bar=False,
             enable_model_summary=False,
             use_distributed_sampler=False,
-            accelerator=trainer.accelerator,
+            accelerator=accelerator,
             devices=trainer.devices,
             precision=trainer.precision,  # type: ignore[arg-type]  # Lightning says what it takes
             strategy=trainer.strategy,
