@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
@@ -39,6 +40,17 @@ def of(config: Any, name: str) -> Any:
 def test_as_it_stands(text: str) -> None:
     assert composed("reconstruct", f"input={text}").input == text
     assert compose_config("reconstruct", f"input={text}").input == text  # as from Python
+
+
+@pytest.mark.parametrize(  # commas between words separate jobs
+    "text", [*filter(lambda text: ", " not in text, ODD), "My Data/ScanNet v2", "C:/scans"]
+)
+def test_a_job_of_a_sweep_gets_it_as_it_stands(text: str) -> None:
+    """The sweeper writes the settings of a job anew, which the job's process reads."""
+    given = quote_overrides([f"data.root={text}"], Texts.of(TrainConfig), sweeps=True).values()
+    (override,) = OverridesParser.create().parse_overrides([*given])
+    job = f"{override.get_key_element()}={override.get_value_element_as_str()}"
+    assert composed("train", "data=scannet", job).data.root == text
 
 
 @pytest.mark.parametrize(
@@ -139,7 +151,7 @@ def test_in_a_sweep_commas_separate(tmp_path: Path) -> None:
     def swept(word: str) -> str:
         return quote_overrides([word], Texts.of(TrainConfig), sweeps=True)[word]
 
-    assert swept("data.root=2024_01_01, b c") == "data.root='2024_01_01',b c"
+    assert swept("data.root=2024_01_01, b c") == "data.root='2024_01_01','b c'"
     assert swept("data.test=[a,1],[b]") == "data.test=[a,'1'],[b]"
     assert swept("encoder.weights=choice(none,rooms)") == "encoder.weights=choice(none,rooms)"
     assert swept("data.root='a,b'") == "data.root='a,b'"

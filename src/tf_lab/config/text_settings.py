@@ -25,6 +25,7 @@ NEVER_SWEPT = ("output",)  # of the others, commas separate values in a sweep
 _QUOTED = r"""(?:"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')"""
 _GROUP = r"(?:\{[^{}]*\}|\[(?:[^\[\]]|\[[^\[\]]*\])*\])"  # its commas separate nothing
 _PART = rf"(?s)\s*(?:{_QUOTED}\s*(?=,|$)|(?:{_GROUP}|[^,])+)"
+_ESCAPED = r"[\\()\[\]{}:=,\s]"  # what Hydra's sweeper escapes in a text that is not quoted
 _CHOICE = r"(?s)(?:choice|shuffle|sort|tag)\(.*\)"  # Hydra's functions for sweeps
 
 
@@ -107,7 +108,8 @@ def _quote_text(value: str) -> str:
         return value
     try:
         override = OverridesParser.create().parse_override(f"x={value}")
-        if "${" not in value and override.value() == value and not override.is_sweep_override():
+        plain = "${" not in value and not re.search(_ESCAPED, value)
+        if plain and override.value() == value and not override.is_sweep_override():
             return value
     except HydraException:
         pass
