@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from helpers.tiny_jobs import Result, call, start
+from helpers.tiny_jobs import Result, call, start, told
 from tf_lab.meshes.files import read_mesh
 
 METRICS = {"acc", "compl", "chamfer", "prec", "recall", "fscore"}
@@ -62,6 +62,18 @@ def test_by_a_process_on_the_published_layout(published: Path) -> None:
     assert rows[0] == ["Scene", "Acc", "Compl", "Chamfer", "Prec", "Recall", "F-score"]
     assert ["mean", f"{metrics['mean']['acc']:.2f}"] == rows[4][:2]
     assert "no prediction, scored as empty: scene0001_00" in result.out
+
+
+def test_predictions_of_other_names(published: Path) -> None:
+    """None for a scene is a score of 0; none for any is another folder."""
+    (published / "predictions" / "scene0000_00.ply").rename(
+        published / "predictions" / "scene0000_00_mesh.ply"
+    )
+    result = call(
+        *("evaluate", f"predictions={published / 'predictions'}"),
+        f"groundtruth={published / 'groundtruth'}",
+    )
+    told(result, "no mesh of 2 scenes in", "scene0000_00.ply, but scene0000_00_mesh.ply")
 
 
 def test_a_moved_prediction_scores_as_it_should(published: Path) -> None:

@@ -45,7 +45,7 @@ def test_the_summary_tells_what_was_skipped_and_what_failed(captures: Path, tmp_
     result = call("prepare", *arguments(captures, tmp_path / "scenes"))
     assert result.status == 2
     assert "2 scenes, 47 frames" in result.out
-    assert "skipped 1 frames: cannot be read as an image" in result.out
+    assert "skipped 1 frame: cannot be read as an image" in result.out
     assert "failed hall: " in result.out
     assert "camera-intrinsics.txt" in result.out
     assert result.err.splitlines()[-1].startswith("error: 1 scenes failed")

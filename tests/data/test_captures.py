@@ -131,6 +131,20 @@ def test_an_official_mesh_is_the_ground_truth(tmp_path: Path) -> None:
     np.testing.assert_allclose(back, official.vertices, atol=1e-5)
 
 
+def test_many_lost_frames_make_a_warning(source: Path, tmp_path: Path) -> None:
+    for path in sorted(source.glob("*.pose.txt"))[:6]:
+        path.write_text("nan " * 16)
+    whole = seven_scenes.write(source.parent / "whole", room_frames())
+    found = {"cut": source, "whole": whole}
+    made = prepare_captures(
+        found, tmp_path / "scenes", SMALL, workers=1, memory=MEMORY, check=False
+    )
+    lines = summarise(made, tmp_path / "scenes" / SMALL.key).splitlines()
+    warnings = [line for line in lines if line.startswith("  warning ")]
+    reason = "the pose has NaN or infinity (frame lost)"
+    assert warnings == [f"  warning cut: 6 of 24 frames are left out, most as {reason}"]
+
+
 def test_one_bad_capture_does_not_stop_the_others(source: Path, tmp_path: Path) -> None:
     bad = seven_scenes.write(source.parent / "bad", room_frames()[:3])
     (bad / "camera-intrinsics.txt").write_text("1 2 3")
@@ -142,7 +156,7 @@ def test_one_bad_capture_does_not_stop_the_others(source: Path, tmp_path: Path) 
     assert list(prepared.scenes) == ["kitchen"]
     assert "camera-intrinsics.txt" in prepared.failed["bad"]
     text = summarise(prepared, root / SMALL.key)
-    assert "1 scenes, 24 frames" in text
+    assert "1 scene, 24 frames" in text
     saved = json.loads((root / SMALL.key / "prepare.json").read_text())
     assert saved["scenes"]["kitchen"]["frames"] == 24
     assert "camera-intrinsics.txt" in saved["failed"]["bad"]

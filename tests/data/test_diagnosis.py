@@ -4,6 +4,8 @@ from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from helpers.injections import INJECTIONS, Frames, opened, source_of
 from helpers.layouts import LAYOUTS
 from tf_lab.data.diagnosis import diagnose, quick_warning
+from tf_lab.data.diagnosis.alternatives import of_intrinsics
 from tf_lab.data.diagnosis.evidence import Evidence
 from tf_lab.data.diagnosis.matches import Pair, sampson_pixels
 from tf_lab.data.diagnosis.verdict import DOUBTFUL, FINE, UNKNOWN, WRONG, Report
@@ -204,6 +207,14 @@ def test_a_fault_is_named(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in INJECTIONS if name not in FEW])
 def test_every_fault_is_named(name: str) -> None:
     assert_named(name, list(room()))
+
+
+def test_scannets_images_are_often_made_smaller() -> None:
+    """Exports of 640x480 keep the intrinsics of 1296x968, which is no multiple of it."""
+    camera = SimpleNamespace(size=(640, 480), cx=647.75, cy=483.75)
+    given: Any = SimpleNamespace(frames=[SimpleNamespace(camera=camera)])
+    found = [a.settings.intrinsics_size for a in of_intrinsics(AS_STATED, given)]
+    assert found[:2] == [(1280, 960), (1296, 968)]
 
 
 def test_a_quick_check_warns_in_a_line() -> None:

@@ -156,10 +156,10 @@ def test_the_whole_frames_of_a_truncated_stream_are_kept(tmp_path: Path, lost: i
     path.write_bytes((stream.header() + b"".join(stream.frames))[:-lost])
     capture = open_capture(path)
     assert capture.frames == ["0", "1", "2"]
-    assert capture.skipped == ["frames 3 to 3: the file ends before"]
+    assert capture.skipped == ["3: the file ends before"]
     np.testing.assert_array_equal(capture.image(2), images()[2])
     path.write_bytes(stream.header() + b"".join(stream.frames[:2]))
-    assert open_capture(path).skipped == ["frames 2 to 3: the file ends before"]
+    assert open_capture(path).skipped == ["2: the file ends before", "3: the file ends before"]
 
 
 def test_zeros_after_an_interrupted_download(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_zeros_after_an_interrupted_download(tmp_path: Path) -> None:
     path.write_bytes(stream.header() + b"".join(stream.frames) + bytes(20_000))
     capture = open_capture(path)
     assert len(capture.frames) == COUNT
-    assert capture.skipped == ["frames 4 to 99: the file is damaged there"]
+    assert capture.skipped == [f"{i}: the file is damaged there" for i in range(4, 100)]
 
 
 @pytest.mark.parametrize("length", [0, 3, 11, 20, HEADER - 1])
@@ -222,7 +222,7 @@ def test_a_frame_of_impossible_size_ends_the_stream(tmp_path: Path, sizes: tuple
     assert capture.skipped == [f"frames 4 to {2**63 - 1}: the file is damaged there"]
     first = empty()
     first.add_coded(b"", b"", np.eye(4), sizes)
-    with pytest.raises(TFLabError, match=r"scene0000_00\.sens: frames 0 to 0: the file is damaged"):
+    with pytest.raises(TFLabError, match=r"scene0000_00\.sens: 0: the file is damaged"):
         opened(first, tmp_path)
 
 
@@ -478,8 +478,21 @@ def test_frames_missing_from_an_export(tmp_path: Path) -> None:
     assert capture.depth(0) is None
     image, pose, lost = capture.skipped
     assert image == "2: no colour image"
-    assert pose.startswith(f"1: {folder / 'pose' / '1.txt'}: missing")
+    assert pose == "1: no pose"
     assert lost == "0: the pose has NaN or infinity (frame lost)"
+
+
+def test_frames_25k(tmp_path: Path) -> None:
+    """Its intrinsics lie beside color/, and there are no extrinsics."""
+    export, folder = write_export(tmp_path / "export"), write_export(tmp_path / "scene0000_00")
+    for camera in ("color", "depth"):
+        path = folder / "intrinsic" / f"intrinsic_{camera}.txt"
+        path.rename(folder / f"intrinsics_{camera}.txt")
+    (folder / "intrinsic").rmdir()
+    found, expected = open_capture(folder), open_capture(export)
+    assert found.frames == expected.frames
+    np.testing.assert_array_equal(found.K, expected.K)
+    np.testing.assert_array_equal(found.depth(0), expected.depth(0))
 
 
 def test_an_export_without_depth(tmp_path: Path) -> None:

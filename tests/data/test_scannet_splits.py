@@ -2,6 +2,7 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from tf_lab.data.scannet_splits import (
     split_scenes,
     structure_labels,
 )
+from tf_lab.data.sources.settings import ScanNetData
+from tf_lab.data.sources.source import DataSource, open_source
 from tf_lab.errors import TFLabError
 
 
@@ -146,3 +149,39 @@ def test_more_vertices_declared_than_there_are(tmp_path: Path, count: int) -> No
 def test_vertices_without_a_place(tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match="NaN or infinite"):
         structure_labels(labelled(tmp_path, points=np.where(POINTS < 0, np.nan, POINTS)))
+
+
+def source(root: Path, **settings: Any) -> DataSource:
+    return open_source(ScanNetData(root=str(root), scenes=str(root / "prepared"), **settings))
+
+
+def test_a_number_of_scenes_is_of_those_that_are_there(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("scene0011_01", "scene0568_00", "scene0568_01"):  # of 312
+        (tmp_path / "scans" / name).mkdir(parents=True)
+    assert list(source(tmp_path, val_size=2).captures(("val",))["val"]) == [
+        *("scene0011_01", "scene0568_00")
+    ]
+    assert "are missing" not in caplog.text
+    assert "2 of 2 val scenes have no official mesh" in caplog.text
+    assert len(source(tmp_path).captures(("val",))["val"]) == 3
+    assert "309 of 312 val scenes are missing" in caplog.text
+
+
+def test_a_split_without_any_scene_says_how_to_go_without(tmp_path: Path) -> None:
+    (tmp_path / "scans" / "scene0000_00").mkdir(parents=True)
+    with pytest.raises(TFLabError, match=r"no test scene in it; data\.test_size=0 goes without"):
+        source(tmp_path).captures(("test",))
+    found = source(tmp_path, test_size=0, val_size=0).captures(("train", "val", "test"))
+    assert {split: list(scenes) for split, scenes in found.items()} == {
+        **{"train": ["scene0000_00"], "val": [], "test": []}
+    }
+
+
+def test_a_scene_in_two_lists_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "scannetv2_train.txt").write_text("scene0000_00\nscene0707_00\n")
+    with pytest.raises(TFLabError, match="scene0707_00 is in the list of the train scenes, and"):
+        source(tmp_path).captures(("train",))
+    (tmp_path / "scans" / "scene0707_00").mkdir(parents=True)
+    assert source(tmp_path, test_size=0).captures(("train",))["train"]  # nothing is held out

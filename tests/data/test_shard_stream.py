@@ -25,6 +25,7 @@ from tf_lab.data.shard_stream import ShardSource, ShardStream
 from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
 from tf_lab.online.settings import ReconstructionSettings
+from tf_lab.support.documents import read_json
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.module import OptimizerSettings, Training
 
@@ -226,6 +227,9 @@ def test_other_settings_than_the_shards(write: Write, change: dict[str, object])
         source(write(), **change)
     with pytest.raises(TFLabError, match=r"written with model\.far=5\.0, not 4\.0"):
         ShardSource(str(write()), SETTINGS, NEAR, 4.0)
+    width, height = read_json(write() / "shards.json", "")["settings"]["width"], 999
+    with pytest.raises(TFLabError, match=r"written with data\.height=\d+, not 999"):
+        ShardSource(str(write()), SETTINGS, NEAR, FAR, size=(width, height))
 
 
 def test_more_processes_than_chunks(write: Write) -> None:

@@ -39,7 +39,8 @@ def run(config: CheckConfig) -> None:
     for table in tables(report):
         console.print(table)
     if capture.skipped:
-        print(f"lost: {len(capture.skipped)} frames; the first: {capture.skipped[0]}")
+        total = len(capture.skipped) + len(capture.frames)
+        print(f"lost: {len(capture.skipped)} of {total} frames; the first: {capture.skipped[0]}")
     if output is not None:
         write_json(output / "check.json", {"input": str(path), **report.as_json()})
         draw(report, evidence, output / "check.png")

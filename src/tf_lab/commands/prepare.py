@@ -21,6 +21,7 @@ from tf_lab.meshes.files import read_mesh
 from tf_lab.support.files import atomic_path, check_folder
 from tf_lab.support.layout import GROUNDTRUTH_MESH, picture_path
 from tf_lab.support.progress import progress_bar
+from tf_lab.support.words import counted
 
 
 def run(config: PrepareConfig) -> None:
@@ -43,8 +44,8 @@ def run(config: PrepareConfig) -> None:
         _write_shards(config, source)
     if failed := len(prepared.failed):
         raise TFLabError(
-            f"{failed} scenes failed, see above; the others are ready, and the same command tries "
-            "these again"
+            f"{counted(failed, 'scene')} failed, see above; the others are ready, and the same "
+            "command tries these again"
         )
 
 

@@ -40,8 +40,10 @@ from tf_lab.support.files import atomic_directory, remove_abandoned, write_json
 from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 from tf_lab.support.text import read_lines
+from tf_lab.support.words import counted
 
 logger = logging.getLogger(__name__)
+MANY_LOST = 0.2  # share of frames that makes a warning
 VERSION = 4  # of what is made of a capture; a reader that gives others raises it
 
 
@@ -145,7 +147,8 @@ def import_capture(
     size = (settings.width, settings.height)
     capture = original if original.size == size else Resized(original, size)
     skipped = list(capture.skipped)
-    warning = quick_warning(original, settings.read) if check else None
+    found = [_many_lost(original), quick_warning(original, settings.read) if check else None]
+    warning = "; ".join(filter(None, found)) or None
     provenance = {
         "source": source.name,
         "sources": digest,
@@ -176,6 +179,15 @@ def import_capture(
         memory=memory,
         device="cuda" if torch.cuda.is_available() else "cpu",
     )
+
+
+def _many_lost(capture: Capture) -> str | None:
+    """How many frames are left out, and why most of them, where that is many."""
+    lost, total = len(capture.skipped), len(capture.skipped) + len(capture.frames)
+    if lost < MANY_LOST * total:
+        return None
+    reason, _ = Counter(map(_kind, capture.skipped)).most_common(1)[0]
+    return f"{lost} of {total} frames are left out, most as {reason}"
 
 
 def _frames(capture: Capture, distance: float, skipped: list[str]) -> Iterator[Frame]:
@@ -342,9 +354,13 @@ def summarise(prepared: PreparedCaptures, folder: Path) -> str:
         warning = opened.provenance.get("warning")
         warnings += [f"  warning {name}: {warning}"] if warning else []
         details[name] = {"frames": len(opened), "skipped": opened.skipped, "warning": warning}
-    write_json(folder / "prepare.json", {"scenes": details, "failed": prepared.failed})
-    lines = [f"{folder}: {len(prepared.scenes)} scenes, {frames} frames"]
-    lines += [f"  skipped {count} frames: {reason}" for reason, count in reasons.most_common(5)]
+    lines = [f"{folder}: {counted(len(prepared.scenes), 'scene')}, {counted(frames, 'frame')}"]
+    common = reasons.most_common(5)
+    lines += [f"  skipped {counted(count, 'frame')}: {reason}" for reason, count in common]
+    try:
+        write_json(folder / "prepare.json", {"scenes": details, "failed": prepared.failed})
+    except OSError as error:  # scenes that were prepared by others are no less ready
+        lines.append(f"  prepare.json, which lists them, is as it was ({error.strerror})")
     return "\n".join([*lines, *warnings])
 
 

@@ -21,6 +21,8 @@ from tf_lab.data.shards import decode
 from tf_lab.errors import TFLabError
 
 log = logging.getLogger(__name__)
+SIZE = ("width", "height")  # of the images, in shards that say it
+GROUPS = {"near": "model", "far": "model", "width": "data", "height": "data"}  # of settings
 
 
 class ShardSource:
@@ -32,6 +34,7 @@ class ShardSource:
         near, far: valid depth range, metres.
         shuffle: whether every epoch has an order of its own. Without, one process meets the
             chunks in the order in which the folders' stream of the shards' seed draws them.
+        size: (width, height) of the images; None: any.
 
     Raises:
         TFLabError: the shards cannot be opened, or were drawn in another way.
@@ -44,14 +47,18 @@ class ShardSource:
         near: float,
         far: float,
         shuffle: bool = True,
+        size: tuple[int, int] | None = None,
     ) -> None:
         self.shards, self.settings, self.shuffle = open_shards(urls), settings, shuffle
-        wanted = {**vars(settings), "near": near, "far": far}
+        sizes = {} if size is None else dict(zip(SIZE, size, strict=True))
+        wanted = {**vars(settings), "near": near, "far": far, **sizes}
         for name, value in self.shards.settings.items():
             if name == "images" and value >= settings.images:
                 continue  # any of them will do
+            if name in SIZE and size is None:
+                continue
             if wanted.get(name) != value:
-                group = "model" if name in ("near", "far") else "training"
+                group = GROUPS.get(name, "training")
                 raise TFLabError(
                     f"the shards were written with {group}.{name}={value}, not {wanted.get(name)}; "
                     "train with that, or write others"

@@ -26,6 +26,7 @@ from webdataset import TarWriter
 
 from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkRecord
+from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.support.documents import parse_json, read_json
 from tf_lab.support.files import atomic_path, remove_abandoned, write_json
@@ -168,7 +169,11 @@ def _plan(sampler: ChunkSampler, count: int, seed: int, per_shard: int) -> dict[
                 ) from error
     return {
         "format": FORMAT,
-        "settings": {**drawn, "near": sampler.near, "far": sampler.far},
+        "settings": {
+            **drawn,
+            **{"near": sampler.near, "far": sampler.far},
+            **dict(zip(("width", "height"), Scene(sampler.scenes[0]).size, strict=True)),
+        },
         "seed": seed,
         "count": count,
         "per_shard": per_shard,

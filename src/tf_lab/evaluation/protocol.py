@@ -25,6 +25,7 @@ from tf_lab.meshes.files import read_mesh
 from tf_lab.support.arrays import read_array
 from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.text import read_numbers
+from tf_lab.support.words import counted
 
 PROTOCOL = "transformerfusion"
 LAYOUT = "the published layout needs it"
@@ -205,6 +206,15 @@ def evaluate(
     if not predictions.is_dir():
         raise TFLabError(f"{predictions}: no such folder; give the folder of <scene>.ply files")
     names = scene_names(groundtruth)
+    given = {
+        path.stem: path.name for path in predictions.iterdir() if path.suffix.lower() in MESHES
+    }
+    if not given.keys() & set(names):
+        instead = f", but {min(given.values())}" if given else ""
+        raise TFLabError(
+            f"{predictions}: no mesh of {counted(len(names), 'scene')} in {groundtruth}, such as "
+            f"{names[0]}.ply{instead}; a mesh has its scene's name"
+        )
     scenes: dict[str, Scores] = {}
     failed: dict[str, str] = {}
     point_clouds, scales = [], {}

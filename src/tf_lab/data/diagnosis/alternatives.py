@@ -11,6 +11,7 @@ from tf_lab.data.readers.source import Given
 from tf_lab.data.reading import AXES, CODES, POSES, QUATERNIONS, ReadSettings
 
 SHIFTS = 5  # frames, either way
+SCANNET = (1296, 968)  # pixels of its colour images, which many exports make smaller
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,11 @@ def of_intrinsics(settings: ReadSettings, given: Given) -> Iterator[Alternative]
     width, height = camera.size
     ratios = np.array([(2 * camera.cx + 1) / width, (2 * camera.cy + 1) / height])
     if settings.intrinsics_size is None:
-        for ratio in sorted({round(float(ratios.mean()) * 4) / 4, 2.0, 0.5, 4.0, 1.5}):
-            if ratio > 0 and ratio != 1 and np.abs(ratios / ratio - 1).max() < 0.15:
-                size = (round(width * ratio), round(height * ratio))
+        factors = sorted({round(float(ratios.mean()) * 4) / 4, 2.0, 0.5, 4.0, 1.5})
+        sizes = [(round(width * ratio), round(height * ratio)) for ratio in factors if ratio > 0]
+        for size in [*sizes, SCANNET]:
+            off = ratios * camera.size / size - 1
+            if size != tuple(camera.size) and np.abs(off).max() < 0.15:
                 text = f"intrinsics of {size[0]}x{size[1]} images"
                 yield _changed(settings, text, intrinsics_size=size)
     if settings.principal is None and np.abs(ratios - 1).max() > 0.03:

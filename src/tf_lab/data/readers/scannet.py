@@ -6,7 +6,8 @@
     color/0.jpg, depth/0.png          an export: colour; 16-bit millimetres, 0 = no reading
     pose/0.txt                        4x4, camera to world; -inf: lost
     intrinsic/intrinsic_color.txt     4x4, and intrinsic_depth.txt; extrinsic_color.txt and
-                                      extrinsic_depth.txt (the identity if missing)
+                                      extrinsic_depth.txt (the identity if missing); of
+                                      scannet_frames_25k intrinsics_color.txt beside color/
 
 Depth has a camera of its own, and often another size than colour. The extrinsics lead from a camera
 to the frame common to both, so color_T_depth = inverse(extrinsic_color) extrinsic_depth; they are
@@ -122,10 +123,13 @@ def _read_export(directory: Path) -> SourceCapture:
         depth = _export_camera(directory, "depth", list(depths.values()))
     extrinsics = _extrinsics(directory, "color"), _extrinsics(directory, "depth")
     rig = Rig(color, depth, color_T_depth_of(*extrinsics))
-    posed = sorted(path.stem for path in (directory / "pose").glob("*.txt"))
-    skipped = [f"{name}: no colour image" for name in posed if name not in colors]
+    posed = {path.stem for path in (directory / "pose").glob("*.txt")}
+    skipped = [f"{name}: no colour image" for name in sorted(posed - colors.keys())]
     frames = []
     for name, image in colors.items():
+        if name not in posed:
+            skipped.append(f"{name}: no pose")
+            continue
         try:
             pose = read_pose(directory / "pose" / f"{name}.txt", CURE)
         except TFLabError as error:
@@ -137,7 +141,9 @@ def _read_export(directory: Path) -> SourceCapture:
 
 
 def _intrinsics(directory: Path, camera: str) -> Path:
-    return directory / "intrinsic" / f"intrinsic_{camera}.txt"
+    path = directory / "intrinsic" / f"intrinsic_{camera}.txt"
+    of_25k = directory / f"intrinsics_{camera}.txt"
+    return of_25k if of_25k.is_file() and not path.is_file() else path
 
 
 def _export_camera(directory: Path, camera: str, images: Sequence[Path]) -> Camera:

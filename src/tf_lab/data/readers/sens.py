@@ -31,6 +31,7 @@ from tf_lab.errors import TFLabError
 VERSION = 4
 RAW, PNG, JPEG = 0, 1, 2
 RAW_DEPTH, ZLIB_DEPTH = 0, 1
+MOST_FRAMES = 100_000  # ScanNet's longest scans have a tenth of that
 MAX_NAME = 4096  # bytes of the sensor's name
 MAX_SCALE = 1e6  # depth units a metre
 CURE = "download it again, or have it written by ScanNet's tools"
@@ -249,16 +250,16 @@ def _index(
         file.seek(offset)
         head = file.read(_FRAME.size)
         if len(head) < _FRAME.size:
-            return frames, [*missing, _rest(i, header, "the file ends before")]
+            return frames, [*missing, *_rest(i, header, "the file ends before")]
         *pose, _, _, color_bytes, depth_bytes = _FRAME.unpack(head)
         empty = color_bytes == 0
         no_head = empty and math.isfinite(pose[-1]) and pose[-1] != 1  # of a pose or a lost one
         if color_bytes > limits[0] or depth_bytes > limits[1] or no_head:
-            return frames, [*missing, _rest(i, header, "the file is damaged there")]
+            return frames, [*missing, *_rest(i, header, "the file is damaged there")]
         start = offset + _FRAME.size
         offset = start + color_bytes + depth_bytes
         if offset > size:
-            return frames, [*missing, _rest(i, header, "the file ends before")]
+            return frames, [*missing, *_rest(i, header, "the file ends before")]
         if empty:
             missing.append(f"{i}: no colour image in the stream")
             continue
@@ -281,5 +282,8 @@ def _largest(size: tuple[int, int], channels: int) -> int:
     return size[0] * size[1] * channels * 9 // 8 + 65536
 
 
-def _rest(first: int, header: SensHeader, reason: str) -> str:
-    return f"frames {first} to {header.count - 1}: {reason}"
+def _rest(first: int, header: SensHeader, reason: str) -> list[str]:
+    """The same of every frame from the first on; in one of more than can be meant."""
+    if header.count > MOST_FRAMES:
+        return [f"frames {first} to {header.count - 1}: {reason}"]
+    return [f"{frame}: {reason}" for frame in range(first, header.count)]

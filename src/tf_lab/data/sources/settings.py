@@ -141,7 +141,7 @@ class PreparedData:
     @property
     def read(self) -> ReadSettings:
         """How the captures are read."""
-        return AS_STATED
+        return ReadSettings.part_of(self) if isinstance(self, ReadSettings) else AS_STATED
 
 
 @dataclass(frozen=True)
@@ -166,16 +166,13 @@ class CapturesData(ReadSettings, PreparedData):
         several=True,
     )
 
-    @property
-    def read(self) -> ReadSettings:
-        """How the captures are read."""
-        return ReadSettings.part_of(self)
-
 
 @dataclass(frozen=True)
-class ScanNetData(PreparedData):
+class ScanNetData(ReadSettings, PreparedData):
     """ScanNet v2 with the official splits, as in the paper. docs/data.md says what to download."""
 
     name: str = setting("scannet", "set it by data=", shapes="weights")
     root: str = setting("data/scannet", "holds scans/ and scans_test/", kind="path")
-    val_size: int | None = setting(10, "of 312, for the score while training; null: all", least=0)
+    val_size: int | None = setting(
+        10, "of those there, for the score while training; null: all", least=0
+    )

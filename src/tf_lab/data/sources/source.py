@@ -159,7 +159,7 @@ class DataSource(ABC):
                 raise TFLabError(
                     "inputs.stereo=true: shards hold no depth maps; train on the scenes"
                 )
-            return ShardSource(urls, settings, near, far, self.settings.shuffle)
+            return ShardSource(urls, settings, near, far, self.settings.shuffle, self.size)
         return self.sampler(settings, near, far, stereo)
 
     def sampler(
