@@ -10,9 +10,13 @@ import trimesh
 from torch import Tensor
 
 from tf_lab.geometry import invert_pose, project, sample_maps
+from tf_lab.geometry.frustum import frustum_planes
+from tf_lab.geometry.poses import linear_map
 
 CELL = 4  # pixels, of the depth buffer
 BEHIND = 0.05  # metres; a vertex further behind the surface that an image sees is hidden
+PART = 1.0  # metres; of what lies in such a cell beside a frustum no point is looked at
+FAR = 1e4  # metres
 STEEPEST = 0.5  # metres of depth that a surface may have in one of its cells
 
 
@@ -37,23 +41,45 @@ def color_vertices(
     others = np.empty((0, 3)) if occluders is None else occluders
     points = torch.cat([vertices, torch.from_numpy(others).float()])
     total, weight = torch.zeros(len(vertices), 3), torch.zeros(len(vertices), 1)
+    centers, part = _parts(points)
     for image, k, pose in zip(images, K, world_T_cam, strict=True):
         size = (image.shape[2], image.shape[1])
-        uv, depth = project(points, k, invert_pose(pose))
+        planes = frustum_planes(k, pose, size, 0.0, FAR)
+        inside = linear_map(planes[:, :3], centers) + planes[:, 3] > -PART * 0.87  # half a diagonal
+        index = inside.all(1)[part].nonzero().squeeze(1)
+        uv, depth = project(points[index], k, invert_pose(pose))
         u, v = uv.round().long().unbind(-1)
         seen = (depth > 0.1) & (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
-        index = seen.nonzero().squeeze(1)
-        nearest = _depth_of_points(u[index], v[index], depth[index], size)
-        index, nearest = index[index < len(vertices)], nearest[index < len(vertices)]
+        seen = seen.nonzero().squeeze(1)
+        index, depth = index[seen], depth[seen]
+        nearest = _depth_of_points(u[seen], v[seen], depth, size)
+        own = int((index < len(vertices)).sum())  # the others come after them
+        index, depth = index[:own], depth[:own]
         reach = BEHIND + _depth_in_cell(vertices[index], normals[index], k, pose)
-        index = index[depth[index] < nearest + reach]
-        color = sample_maps(image[None].float(), uv[None, index], size)[0]
-        w = 1 / depth[index, None].clamp(min=0.3) ** 2  # near views are sharper
+        front = (depth < nearest[:own] + reach).nonzero().squeeze(1)
+        index, depth = index[front], depth[front]
+        color = sample_maps(image[None].float(), uv[None, seen[front]], size)[0]
+        w = 1 / depth[:, None].clamp(min=0.3) ** 2  # near views are sharper
         total[index] += w * color
         weight[index] += w
     rgb = torch.where(weight > 0, total / weight.clamp(min=1e-9), torch.full_like(total, 128.0))
     rgba = torch.cat([rgb.round().clamp(0, 255), torch.full_like(weight, 255)], 1)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=rgba.byte().numpy())
+
+
+def _parts(points: Tensor) -> tuple[Tensor, Tensor]:
+    """Centres [N, 3] of the cells of `PART` metres that hold points [P, 3], and whose each is."""
+    if not len(points):
+        return points, torch.empty(0, dtype=torch.int64)
+    place = (points / PART).floor().long()
+    first = place.amin(0)
+    place -= first
+    _, y, z = (place.amax(0) + 1).tolist()
+    number, part = torch.unique(
+        (place[:, 0] * y + place[:, 1]) * z + place[:, 2], return_inverse=True
+    )
+    cells = torch.stack([number // (y * z), number // z % y, number % z], 1)
+    return (cells + first + 0.5) * PART, part
 
 
 def _depth_of_points(u: Tensor, v: Tensor, depth: Tensor, size: tuple[int, int]) -> Tensor:

@@ -35,6 +35,7 @@ from tf_lab.network.network import Network
 from tf_lab.online.frames import Frames, check_camera
 from tf_lab.online.lattice.blocks import voxels_in
 from tf_lab.online.lattice.level import Box, Level
+from tf_lab.online.painting import painters
 from tf_lab.online.pipeline import Pipeline
 from tf_lab.online.precision import dtype_of
 from tf_lab.online.settings import ReconstructionSettings, cells_per_voxel
@@ -44,8 +45,6 @@ from tf_lab.online.views import make_policy
 from tf_lab.online.views.selection import without_logits
 from tf_lab.online.views.store import ViewStore
 from tf_lab.support.devices import is_there
-
-COLOR_FRAMES = 60  # evenly chosen frames that paint the mesh
 
 
 class Reconstructor:
@@ -124,8 +123,8 @@ class Reconstructor:
         self.update(box)
         mesh = self.surface.assemble(box)
         if color and len(mesh.faces):
-            last = len(self.frames) - 1
-            some = np.unique(np.linspace(0, last, COLOR_FRAMES).round().astype(int))
+            held = self.fine.store.frames[self.fine.features["shown"]]
+            some = painters(held.cpu().numpy(), len(self.frames))
             images = [self.frames.images[i] for i in some]
             cameras = self.frames.cameras
             color_vertices(
