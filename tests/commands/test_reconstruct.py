@@ -155,6 +155,13 @@ def test_a_capture_with_depth_is_scored_too(
     assert scores[0] == scores[1]
 
 
+def test_a_score_that_nobody_asks_for(reconstruct: Callable[..., Result]) -> None:
+    result = reconstruct(*ROOM, "score=false", "output=fast.ply")
+    assert (result.status, result.err) == (0, "")
+    assert "F-score" not in result.out
+    assert Path("fast.png").exists()
+
+
 def test_frames_without_depth_are_no_part_of_the_truth(
     reconstruct: Callable[..., Result], rooms: Callable[[str], list[Path]], mine: Path
 ) -> None:

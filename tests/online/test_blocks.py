@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from tf_lab.online.lattice.blocks import Blocks, dilate, pack, unpack
+from tf_lab.online.lattice.blocks import Blocks, dilate, pack, unpack, z_order
 from tf_lab.online.lattice.table import Table
 
 CPU = torch.device("cpu")
@@ -101,3 +101,19 @@ def test_a_table_grows_and_fills() -> None:
         table["a"][:] = torch.rand(rows, 2)
     assert table.nbytes() == 40 * 9
     assert table.nbytes("b") == 40
+
+
+def test_z_order() -> None:
+    coords = torch.tensor(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [3, 0, 0], [1, 1, 1], [2, 5, 0]]
+    )
+    assert z_order(coords).tolist() == [0, 1, 2, 4, 9, 7, 0b010001010]
+    assert torch.equal(z_order(coords - 1000), z_order(coords))
+    assert not len(z_order(coords[:0]))
+
+
+def test_what_is_near_by_is_mostly_near_in_z_order() -> None:
+    """A cube of 16^3 voxels: eighths of the order are its octants."""
+    coords = torch.cartesian_prod(*[torch.arange(16)] * 3)
+    parts = coords[z_order(coords).argsort()].view(8, 512, 3)
+    assert ((parts.amax(1) - parts.amin(1)) == 7).all()

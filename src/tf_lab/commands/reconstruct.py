@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ def run(config: ReconstructConfig) -> None:
         print(f"{output}: no surface was found; the mesh is empty")
         return
     print(f"{output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
-    _score_and_draw(capture, result, output.with_suffix(".png"))
+    _score_and_draw(capture, result, output.with_suffix(".png"), config.score)
 
 
 def _place(config: ReconstructConfig) -> Path:
@@ -146,7 +147,7 @@ def _tell(
         print(f"views={config.views} of only {keyframes}: each point keeps all that see it")
 
 
-def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> None:
+def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path, score: bool) -> None:
     """Draw the mesh; where the source has depth, beside the mesh fused from it, with the score."""
     frames = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
     images = [capture.image(i) for i in frames]
@@ -154,7 +155,7 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path) -> 
     scores: Scores | None = None
     with progress_bar() as bar:
         task = bar.add_task("fusing its own depth", total=3)
-        with own_groundtruth(capture) as groundtruth:
+        with own_groundtruth(capture) if score else nullcontext() as groundtruth:
             bar.update(task, completed=1, description="scoring")
             if groundtruth is not None:
                 scores = evaluate_scene(result.mesh, groundtruth)

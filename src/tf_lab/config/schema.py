@@ -299,6 +299,9 @@ class ReconstructConfig(CaptureConfig):
         False,
         "adjust the poses to what the images show, where that explains much (docs/reconstruct.md)",
     )
+    score: bool = setting(
+        True, "where the input has depth: score the mesh by what all of its depth maps give"
+    )
 
 
 @dataclass(frozen=True)

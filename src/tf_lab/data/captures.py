@@ -25,7 +25,7 @@ from tf_lab.data import groundtruth, scene
 from tf_lab.data.capture import Capture
 from tf_lab.data.chunk_weights import Structure
 from tf_lab.data.diagnosis import quick_warning
-from tf_lab.data.digests import Sources, find_sources, read_sources
+from tf_lab.data.digests import Sources, find_sources, read_digest, read_sources
 from tf_lab.data.groundtruth import GroundTruthSettings, write_groundtruth
 from tf_lab.data.keyframes import KEYFRAME_DISTANCE, select_keyframes
 from tf_lab.data.readers import capture_within, detect_format, open_capture
@@ -262,9 +262,8 @@ def prepare_captures(
 
 def scene_of(place: Path) -> Path | None:
     """The directory of the scene of a name: of its sources as they were seen last."""
-    sources = read_sources(place)
-    directory = place / sources.digest if sources else place
-    return directory if sources and directory.is_dir() else None
+    digest = read_digest(place)
+    return place / digest if digest and (place / digest).is_dir() else None
 
 
 def prepared_scenes(folder: Path) -> list[str]:

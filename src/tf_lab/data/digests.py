@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from pathlib import Path
 from tf_lab.data.gravity import DIRECTION_FILE
 from tf_lab.data.readers.replica import PARAMETERS
 from tf_lab.errors import TFLabError
+from tf_lab.support.documents import read_json
 from tf_lab.support.files import write_json
 from tf_lab.support.records import read_record
 
@@ -73,6 +75,16 @@ def read_sources(folder: Path) -> Sources | None:
         return read_record(Sources, folder / RECORD, "prepare the scene again")
     except TFLabError:
         return None
+
+
+def read_digest(folder: Path) -> str | None:
+    """The digest alone of what was noted in a folder, much quicker; None: none that can be read."""
+    try:
+        found = read_json(folder / RECORD, "prepare the scene again")
+    except TFLabError:
+        return None
+    digest = found.get("digest") if isinstance(found, dict) else None
+    return digest if isinstance(digest, str) and re.fullmatch("[0-9a-f]{10}", digest) else None
 
 
 def find_sources(source: Path, also: Iterable[str] = (), known: Sources | None = None) -> Sources:

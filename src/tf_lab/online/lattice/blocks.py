@@ -25,6 +25,19 @@ def unpack(keys: Tensor) -> Tensor:
     return torch.stack([keys >> 2 * BITS, (keys >> BITS) & mask, keys & mask], -1) - HALF
 
 
+def z_order(coords: Tensor) -> Tensor:
+    """Keys int64 [P] along the Z-order curve (Morton 1966) of lattice coordinates int64 [P, 3].
+
+    What is near by in space is mostly near by in this order.
+    """
+    coords = coords - coords.amin(0) if len(coords) else coords
+    keys = torch.zeros(len(coords), dtype=torch.int64, device=coords.device)
+    for bit in range(BITS):
+        for axis, values in enumerate(coords.unbind(-1)):
+            keys |= ((values >> bit) & 1) << (3 * bit + axis)
+    return keys
+
+
 def dilate(coords: Tensor, radius: int) -> Tensor:
     """All lattice points within ``radius`` along every axis of points [P, 3]: unique [Q, 3]."""
     steps = torch.arange(-radius, radius + 1, device=coords.device)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tf_lab.network.tokens import Measurements
 from tf_lab.online.frames import Frames
-from tf_lab.online.lattice.blocks import HALF, Blocks, dilate
+from tf_lab.online.lattice.blocks import HALF, Blocks, dilate, z_order
 from tf_lab.online.lattice.table import Table
 from tf_lab.online.views.store import ViewStore
 
@@ -102,22 +102,24 @@ class Level:
     def fuse(self, rows: Tensor, batch: int) -> tuple[Tensor, Tensor]:
         """Fused features [M, D] and view weights [M, K] of rows [M], at most ``batch`` at a time.
 
-        Voxels with as many views are fused together, so that nobody waits for empty slots.
+        Voxels with as many views are fused together, so that nobody waits for empty slots; where
+        maps have a budget those near by, which mostly hold the same frames.
         """
         frames = self.store.frames
         count = (frames[rows] >= 0).sum(1)
-        order = count.argsort(stable=True)
+        alike = count if self.frames.budget is None else z_order(self.blocks.voxels(rows))
+        order = alike.argsort(stable=True)
         psi = torch.zeros(len(rows), self.features["psi"].shape[1], device=self.device)
         weights = torch.zeros(len(rows), frames.shape[1], device=self.device)
         if self.device.type == "cpu":
             batch = max(1, min(batch, FUSED // (frames.shape[1] * psi.shape[1])))
         starts = range(0, len(rows), batch)
-        ends = [min(start + batch, len(rows)) - 1 for start in starts]
-        for start, most in zip(starts, count[order[ends]].tolist(), strict=True):
-            part, k = order[start : start + batch], max(1, most)
-            kept, slots = self.measurements(rows[part], k)
+        most = [count[order[start : start + batch]].amax() for start in starts]
+        for start, slots in zip(starts, torch.stack(most).tolist() if most else [], strict=True):
+            part, k = order[start : start + batch], max(1, slots)
+            kept, filled = self.measurements(rows[part], k)
             tokens = self.network.embed_kept(self.name, kept)
-            fused, w = self.network.fuse(self.name, tokens, slots, frames[rows[part], :k])
+            fused, w = self.network.fuse(self.name, tokens, filled, frames[rows[part], :k])
             psi[part], weights[part, :k] = fused.float(), w.float()
         return psi, weights
 
