@@ -48,7 +48,7 @@ def test_the_summary_tells_what_was_skipped_and_what_failed(captures: Path, tmp_
     assert "skipped 1 frame: cannot be read as an image" in result.out
     assert "failed hall: " in result.out
     assert "camera-intrinsics.txt" in result.out
-    assert result.err.splitlines()[-1].startswith("error: 1 scenes failed")
+    assert result.err.splitlines()[-1].startswith("error: 1 scene failed")
     (settings,) = (tmp_path / "scenes").iterdir()
     left = {p.name for p in settings.iterdir()} - {".lock"}
     assert left == {"kitchen", "office", "prepare.json"}
