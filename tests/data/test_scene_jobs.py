@@ -62,6 +62,7 @@ def test_a_process_that_dies_takes_no_other_scene_with_it(tmp_path: Path) -> Non
         assert (tmp_path / name).is_dir() == name.startswith("good")
 
 
+@pytest.mark.long
 def test_what_is_too_much_for_two_at_a_time_is_done_by_one(tmp_path: Path) -> None:
     names = ["all_1", "all_2", "all_3"]
     build_scenes(jobs(tmp_path, names), "building", workers=3)
