@@ -215,6 +215,9 @@ def test_scannets_images_are_often_made_smaller() -> None:
     given: Any = SimpleNamespace(frames=[SimpleNamespace(camera=camera)])
     found = [a.settings.intrinsics_size for a in of_intrinsics(AS_STATED, given)]
     assert found[:2] == [(1280, 960), (1296, 968)]
+    camera.size = (648, 484)  # half of it: named once
+    found = [a.settings.intrinsics_size for a in of_intrinsics(AS_STATED, given)]
+    assert found.count((1296, 968)) == 1
 
 
 def test_a_quick_check_warns_in_a_line() -> None:

@@ -67,7 +67,7 @@ def of_intrinsics(settings: ReadSettings, given: Given) -> Iterator[Alternative]
     if settings.intrinsics_size is None:
         factors = sorted({round(float(ratios.mean()) * 4) / 4, 2.0, 0.5, 4.0, 1.5})
         sizes = [(round(width * ratio), round(height * ratio)) for ratio in factors if ratio > 0]
-        for size in [*sizes, SCANNET]:
+        for size in dict.fromkeys([*sizes, SCANNET]):
             off = ratios * camera.size / size - 1
             if size != tuple(camera.size) and np.abs(off).max() < 0.15:
                 text = f"intrinsics of {size[0]}x{size[1]} images"
