@@ -190,6 +190,15 @@ def test_a_training_of_before_matching_is_found_again() -> None:
     assert training_directory(config) == training_directory(DEFAULT)
 
 
+def test_a_training_of_before_maps_were_centered_is_found_again() -> None:
+    """Its maps were not, whatever the default is by now."""
+    old = asdict(DEFAULT)
+    del old["encoder"]["centered"]
+    config = typed(TrainConfig, upgraded(old))
+    assert config.encoder.centered is False  # type: ignore[attr-defined]
+    assert keys(config) == keys(DEFAULT)  # which is of model=tiny
+
+
 def test_a_setting_that_came_later_is_no_part_of_what_had_none() -> None:
     """So that what was trained before it is found again."""
     assert "stereo" not in training_identity(DEFAULT)["inputs"]

@@ -56,12 +56,37 @@ def test_studies_are_kept_apart(tmp_path: Path) -> None:
     size, steps = study.settings["data.size"], study.settings["optimizer.steps"]
     assert f"data.size 3 (not {size}), optimizer.steps 7 (not {steps})" in one
     (two,) = [line for line in remarks if "resolution" in line]
-    assert "1 runs, with test.resolution 0.04 (not 0.02)" in two
+    assert "1 run, with test.resolution 0.04 (not 0.02)" in two
     # the one asked for, by the key that the remark gives
     other, _ = open_study([tmp_path], key=one.split()[3].rstrip(","))
     assert other.settings["optimizer.steps"] == 7
     with pytest.raises(TFLabError, match=rf"study=none: .*{study.key}"):
         open_study([tmp_path], key="none")
+
+
+def test_scores_compare_of_the_same_scenes_and_rows(tmp_path: Path) -> None:
+    write_study(tmp_path, {"Ours": 0.6, "Ours: 4 images": 0.5})
+    write_run(tmp_path, "optimizer.steps=7", 0, HALF)
+    write_run(tmp_path, "optimizer.steps=8 fusion=avg", 0, HALF)  # no row that the study has
+    write_run(tmp_path, "optimizer.steps=9", 0, HALF[:3])  # of one scene less
+    write_run(tmp_path, "data=flats", 0, HALF)  # of other scenes, although they are called the same
+    study, remarks = open_study([tmp_path])
+    assert [other.settings["optimizer.steps"] for other in study.others] == [7]
+    told = [line for line in remarks if line.endswith("; its scores are in the table of settings")]
+    assert len(remarks) == 4 and len(told) == 1 and "optimizer.steps 7" in told[0]
+
+
+def test_trainings_on_other_data_compare_by_the_same_test(tmp_path: Path) -> None:
+    write_study(tmp_path, {"Ours": 0.6})
+    write_run(tmp_path, "data=flats test_on=rooms", 0, HALF)
+    assert len(open_study([tmp_path])[0].others) == 1
+
+
+def test_of_parts_of_two_kinds_only_the_kind_is_told(tmp_path: Path) -> None:
+    write_study(tmp_path, {"Ours": 0.6})
+    write_run(tmp_path, "encoder=efficientnet_lite0 encoder.weights=rooms", 0, HALF)
+    _, (line,) = open_study([tmp_path])
+    assert "1 run, with encoder.name efficientnet_lite0 (not resnet); its scores" in line
 
 
 def test_with_and_without_stereo_are_rows_of_one_study(tmp_path: Path) -> None:

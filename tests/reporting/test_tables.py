@@ -7,6 +7,7 @@ import re
 import statistics
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from helpers.made_up_runs import ROWS, SCENES, change_scores, write_run, write_study
@@ -22,6 +23,7 @@ from tf_lab.reporting.tables import (
     runs_table,
     scene_table,
     seed_table,
+    settings_table,
     short_table,
     views_table,
 )
@@ -69,6 +71,34 @@ def test_mean_and_deviation_over_seeds(study: Study) -> None:
     assert float(record["fscore"]) == pytest.approx(mean, abs=1e-6)
     assert float(record["fscore_deviation"]) == pytest.approx(spread, abs=1e-6)
     assert float(record["paper_fscore"]) == 0.655
+
+
+def test_other_settings_are_paired_by_seed_and_scene(tmp_path: Path) -> None:
+    first, second = np.random.default_rng(0).uniform(0.3, 0.7, (2, 4, 4))
+    for seed in range(4):
+        write_run(tmp_path, "", seed, first[seed].tolist())
+        write_run(tmp_path, "views=4", seed, second[seed].tolist())
+        if seed >= 2:
+            better = (second[seed] + 0.1).tolist()
+            write_run(tmp_path, "views=4 optimizer.steps=7", seed, better)
+    write_run(tmp_path, "optimizer.steps=8", 9, first[0].tolist())  # a seed that nothing else has
+    study, _ = open_study([tmp_path])
+    steps = study.settings["optimizer.steps"]
+    four, ours = records(settings_table(study))
+    assert (four["row"], four["seeds"]) == ("Ours: 4 images", "2")
+    assert four["settings"] == f"optimizer.steps 7 (not {steps})"
+    assert float(four["fscore"]) == pytest.approx(second[2:].mean() + 0.1, abs=1e-6)
+    assert float(four["here"]) == pytest.approx(second[2:].mean(), abs=1e-6)
+    for bound in ("difference", "low", "high"):
+        assert float(four[bound]) == pytest.approx(0.1, abs=1e-6)
+    assert (ours["row"], ours["seeds"]) == ("Ours", "1")
+    assert float(ours["fscore"]) == pytest.approx(first[0].mean(), abs=1e-6)
+    assert ours["here"] == ours["difference"] == ours["p"] == ""
+    assert "of one seed they are of scenes alone" in settings_table(study).caption
+
+
+def test_nothing_is_beside_a_study_alone(study: Study) -> None:
+    assert settings_table(study).groups == ()
 
 
 def test_the_main_table_is_laid_out_as_the_papers(study: Study) -> None:

@@ -10,7 +10,7 @@ from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import describe, write_report
 from tf_lab.reporting.results import keep_run
 from tf_lab.reporting.studies import Study, open_study
-from tf_lab.reporting.tables import short_table
+from tf_lab.reporting.tables import settings_table, short_table
 from tf_lab.support.files import check_folder
 from tf_lab.support.layout import PICTURES, RUNS
 
@@ -22,8 +22,9 @@ def run(config: ReportConfig) -> None:
     check_folder(output)
     study, remarks = open_study(folders, config.study)
     if config.keep:
-        for run in study.runs.values():
-            keep_run(run, output / RUNS)
+        for each in (study, *study.others):
+            for run in each.runs.values():
+                keep_run(run, output / RUNS)
     write_report(study, remarks, output)
     pictures = 0
     if config.pictures:
@@ -36,7 +37,8 @@ def run(config: ReportConfig) -> None:
 
         pngs = [path for path in figures if path.suffix == ".png"]
         write_pages(study, describe(study), remarks, output, pngs)
-    print(describe(study), *remarks, markdown(short_table(study)), summary(study), sep="\n\n")
+    tables = [markdown(t) for t in (short_table(study), settings_table(study)) if any(t.groups)]
+    print(describe(study), *remarks, *tables, summary(study), sep="\n\n")
     pages = "report.html, " * config.pages
     drawn = f"{pictures} pictures of test scenes, {len(figures)} files of figures"
     print(f"\n{output}: {pages}tables.md, orderings.md, charts, {drawn}", *left_out, sep="\n")

@@ -14,9 +14,11 @@ from omegaconf.errors import OmegaConfBaseException
 from tf_lab.config.schema import GROUPS, TrainConfig
 from tf_lab.config.typed import literal, typed
 from tf_lab.errors import TFLabError
+from tf_lab.network.encoders import ENCODERS
 from tf_lab.support.documents import read_yaml
 from tf_lab.support.files import atomic_path
 from tf_lab.support.records import record
+from tf_lab.support.settings import absent_values
 
 _MISTAKES = (KeyError, TypeError, ValueError, AttributeError)  # of values that are others
 
@@ -66,7 +68,7 @@ def read_config(path: Path) -> TrainConfig:
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     """The values of an older version's config as this version has them."""
     new = copy.deepcopy(dict(values))
-    data, training, encoder = new["data"], new["training"], new["encoder"]
+    data, training = new["data"], new["training"]
     content = dict(new.pop("digests", {}))
     if "version" in data:
         content["versions"] = data.pop("version")
@@ -74,7 +76,8 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
         content["shards"] = shards
     if content:
         new["content"] = content
-    encoder.setdefault("name", "resnet")
+    encoder = {"name": "resnet", **new["encoder"]}
+    new["encoder"] = {**absent_values(ENCODERS[encoder["name"]].settings), **encoder}
     others = new.get("trainer", {}).get("others", {})
     if "max_time" in others:
         new["trainer"]["max_time"] = others.pop("max_time")

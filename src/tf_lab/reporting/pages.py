@@ -36,6 +36,7 @@ from tf_lab.reporting.tables import (
     run_table,
     scene_table,
     seed_table,
+    settings_table,
 )
 from tf_lab.support.files import atomic_path, file_name
 from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, mesh_path, picture_path
@@ -92,6 +93,7 @@ def study_page(
         section("Tests against ours", table_html(comparison_table(study))),
         section("Seeds", table_html(seed_table(study))),
         section("Scenes", table_html(scene_table(study))),
+        section("Other settings", table_html(settings_table(study))),
         section("Settings", folded("What all runs share", _yaml(study.settings))),
         section("Runs", folded("The command of each", _commands(study))),
     )

@@ -18,6 +18,7 @@ from tf_lab.reporting.tables import (
     runs_table,
     scene_table,
     seed_table,
+    settings_table,
     views_table,
 )
 from tf_lab.support.files import atomic_path
@@ -31,6 +32,7 @@ def write_report(study: Study, remarks: Sequence[str], output: Path) -> None:
         "main": main_table(study),
         "inputs": inputs_table(study),
         "comparison": comparison_table(study),
+        "settings": settings_table(study),
         "seeds": seed_table(study),
         "scenes": scene_table(study),
         "views": views_table(study),

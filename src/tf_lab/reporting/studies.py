@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.provenance import commits_of
 from tf_lab.reporting.paper import ABLATIONS, OURS
 from tf_lab.reporting.results import Run, find_runs
-from tf_lab.support.words import natural
+from tf_lab.support.words import counted, natural
 
 SHOWN_DIFFERENCES = 4
 
@@ -30,11 +30,13 @@ class Study:
         settings: what all share, by dotted name.
         runs: by row and seed.
         superseded: one line on each run that a newer one of its row and seed replaces.
+        others: those of other settings whose scores compare: of the same scenes, and of its rows.
     """
 
     settings: dict[str, Any]
     runs: dict[tuple[str, int], Run]
     superseded: tuple[str, ...] = ()
+    others: tuple[Study, ...] = ()
 
     @cached_property
     def key(self) -> str:
@@ -79,6 +81,15 @@ class Study:
         counts = [len(self.seeds(row)) for row in self.rows]
         return min(counts), max(counts)
 
+    def compares(self, other: Study) -> bool:
+        """Whether the other's scores are of the same scenes, and of any of the same rows."""
+        mine, theirs = self.settings, other.settings
+        test = ("test.scenes", "test.protocol", "test.content.test")
+        versions = [n for n in mine.keys() & theirs if n.startswith("content.versions.")]
+        alike = all(mine.get(name) == theirs.get(name) for name in (*test, *versions))
+        data = {s.get("test.data.name", s.get("data.name")) for s in (mine, theirs)}
+        return alike and len(data) == 1 and not {*self.rows}.isdisjoint(other.rows)
+
     def seeds(self, *rows: str, metric: str | None = None) -> list[int]:
         """The seeds for which there are runs of all these rows (of any row, without one).
 
@@ -122,11 +133,14 @@ def open_study(folders: Iterable[Path | str], key: str | None = None) -> tuple[S
         raise TFLabError(f"study={key}: there is no such study; there are: {keys}")
     study = chosen[0]
     remarks += study.superseded
-    for other in studies:
-        if other is not study:
-            what = differences(other.settings, study.settings)
-            remarks.append(f"left out: study {other.key}, {len(other.runs)} runs, with {what}")
-    return study, [*remarks, *_mixture(study)]
+    others = [other for other in studies if other is not study]
+    compared = tuple(other for other in others if study.compares(other))
+    for other in others:
+        what = differences(other.settings, study.settings)
+        told = "; its scores are in the table of settings" if other in compared else ""
+        size = counted(len(other.runs), "run")
+        remarks.append(f"left out: study {other.key}, {size}, with {what}{told}")
+    return replace(study, others=compared), [*remarks, *_mixture(study)]
 
 
 def group(runs: Iterable[Run]) -> list[Study]:
@@ -171,12 +185,18 @@ def _named(run: Run) -> str:
 
 
 def differences(settings: dict[str, Any], reference: dict[str, Any]) -> str:
-    """In which settings one differs from another, in a line: digests last, what data first."""
+    """In which settings one differs from another, in a line: digests last, what data first.
+
+    Of a part of another kind (an encoder, say), what only one of the two kinds has goes unsaid.
+    """
+    absent = "nothing"
+    both = settings.keys() & reference.keys()
+    kinds = [n for n in both if n.endswith(".name") and settings[n] != reference[n]]
+    unlike = tuple(name.removesuffix("name") for name in kinds)
     names = sorted(
-        {*settings, *reference},
+        {*both, *(n for n in settings.keys() ^ reference.keys() if not n.startswith(unlike))},
         key=lambda name: (name.startswith("content."), not name.endswith("data.name"), name),
     )
-    absent = "nothing"
     lines = [
         f"{name} {_short(settings.get(name, absent))} (not {_short(reference.get(name, absent))})"
         for name in names

@@ -13,14 +13,15 @@ from tf_lab.reporting.formats import Cell, Column, Number, Row, Table
 from tf_lab.reporting.orderings import Ordering, difference, orderings_of, verdict
 from tf_lab.reporting.paper import ABLATIONS, INPUTS, MAIN, OURS, SCORES
 from tf_lab.reporting.results import Run
-from tf_lab.reporting.statistics import Estimate, deviation, holm
-from tf_lab.reporting.studies import Study
+from tf_lab.reporting.statistics import Estimate, deviation, estimate, holm
+from tf_lab.reporting.studies import Study, differences
 from tf_lab.support.words import counted
 
 ROW = Column("row", "Method")
 HERE, THERE = "This study", "Paper"
 SCORE = Column("fscore", "F-score", "up")
 SEEDS = Column("seeds", "Seeds")
+HERE_SCORE = Column("here", "In this study", "up")
 ONE_SEED = "of one seed they are of scenes alone, and say nothing of another training"
 ONE_SCENE = "of one scene they are of trainings alone, and say nothing of another scene"
 INTERVAL = (
@@ -180,11 +181,45 @@ def comparison_table(study: Study) -> Table:
     return Table("comparison", caption, columns, _with_best([body], columns))
 
 
-def _of_one(study: Study) -> str:
+def settings_table(study: Study) -> Table:
+    """The same rows otherwise: another encoder, more steps, a different threshold.
+
+    A row for each of the studies whose scores compare, paired with this one's by seed and scene.
+    """
+    columns = (ROW, Column("settings", "Settings"), SEEDS, SCORE, HERE_SCORE, *INTERVAL)
+    body: list[tuple[Row, ...]] = []
+    for row in study.rows:
+        others = [other for other in study.others if row in other.rows]
+        body += [tuple(_otherwise(study, other, row) for other in others)] if others else []
+    caption = (
+        "F-score of rows with other settings, and with this study's by the same seeds: mean "
+        "difference, 95 % interval and p-value of a crossed bootstrap over seeds and test scenes "
+        f"(p-values are not corrected for their number{_of_one(study, *study.others)})."
+    )
+    return Table("settings", caption, columns, tuple(body))
+
+
+def _otherwise(study: Study, other: Study, row: str) -> Row:
+    mine, theirs = (each.seeds(row, metric="fscore") for each in (study, other))
+    paired = [seed for seed in theirs if seed in mine]
+    seeds = paired or theirs
+    scores = other.scores(row, seeds=seeds)
+    here = study.scores(row, seeds=paired)
+    return (
+        row,
+        differences(other.settings, study.settings),
+        str(len(seeds)),
+        _over_seeds(scores.mean(1)),
+        _over_seeds(here.mean(1)),
+        *_interval_cells(estimate(scores - here) if paired else None),
+    )
+
+
+def _of_one(*studies: Study) -> str:
     """What an interval over a single scene, or a single seed, does not speak of."""
-    if len(study.scenes) == 1:
+    if len(studies[0].scenes) == 1:
         return f"; {ONE_SCENE}"
-    return f"; {ONE_SEED}" if study.repetitions[0] == 1 else ""
+    return f"; {ONE_SEED}" if min(study.repetitions[0] for study in studies) == 1 else ""
 
 
 def _interval_cells(found: Estimate | None) -> list[Number]:
