@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from PIL import Image
 
 from helpers.tiny_jobs import TINY, Result, call, start
+from tf_lab.online.reconstructor import Reconstructor
 
 # all cells are decoded, so that a hardly trained network gives some surface
 SETTINGS = ("resolution=0.05", "threshold=0", "device=cpu")
@@ -188,6 +190,24 @@ def test_depth_that_cannot_be_fused_costs_the_score_only(
     assert "not scored, because the depth cannot be fused: no depth reading" in result.out
     assert Path("a.ply").exists()
     assert Path("a.png").exists()
+
+
+@pytest.mark.parametrize("when", ["add_frame", "mesh"])
+def test_too_little_memory_is_an_error_in_a_line(
+    reconstruct: Callable[..., Result], mine: Path, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    """No frame is skipped for it."""
+
+    def full(*_: Any, **__: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB. See elsewhere.")
+
+    monkeypatch.setattr(Reconstructor, when, full)
+    result = reconstruct("input=mine", "output=a.ply")
+    assert result.status == 2
+    (line,) = result.err.splitlines()
+    assert line.startswith("error: mine: too little memory (CUDA out of memory. Tried to allocate")
+    assert "online.maps_budget" in line and "skipped" not in line and "elsewhere" not in line
+    assert not Path("a.ply").exists()
 
 
 def test_a_prepared_scene_is_an_input(

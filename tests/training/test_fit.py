@@ -39,6 +39,19 @@ class Line(L.LightningModule):
         return torch.optim.SGD(self.parameters(), 0.01)
 
 
+class Greedy(Line):
+    """Asks for more memory than there is, as a GPU's allocator tells it."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__()
+        self.error = error
+
+    def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:
+        if batch_idx == 2:
+            raise self.error
+        return super().training_step(batch, batch_idx)
+
+
 class Numbers(L.LightningDataModule):
     """The number of every step."""
 
@@ -64,6 +77,35 @@ def fitted(directory: Path, *callbacks: Callback, **others: Any) -> Line:
     settings = FitSettings(steps=9, save_every=2, identity=others.pop("identity", None))
     fit(line, Numbers, directory, CPU, settings, loggers=[], callbacks=callbacks, **others)
     return line
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        torch.OutOfMemoryError(
+            "CUDA out of memory. Tried to allocate 9 GiB. GPU 0 has 8 GiB. See documentation"
+        ),
+        RuntimeError("[enforce fail at alloc.cpp:1] DefaultCPUAllocator: can't allocate memory"),
+        MemoryError(),
+    ],
+)
+def test_too_little_memory_is_told_with_what_takes_less(tmp_path: Path, error: Exception) -> None:
+    settings = FitSettings(steps=9, save_every=1, less="fewer pairs")
+    with pytest.raises(TFLabError) as told:
+        fit(Greedy(error), Numbers, tmp_path, CPU, settings, loggers=[])
+    assert str(told.value).startswith(f"{tmp_path}: too little memory")
+    assert "See documentation" not in str(told.value)
+    assert "fewer pairs, trainer.precision=16-mixed" in str(told.value)
+    assert (tmp_path / "last.ckpt").exists()  # of the steps before
+
+
+def test_other_errors_of_a_step_stay_what_they_are(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="a bug"):
+        fit(
+            *(Greedy(RuntimeError("a bug")), Numbers, tmp_path, CPU),
+            FitSettings(steps=9, save_every=1),
+            loggers=[],
+        )
 
 
 def test_an_interrupted_one_goes_on_to_the_same_end(tmp_path: Path) -> None:

@@ -84,7 +84,9 @@ def run(config: PretrainConfig) -> None:
         data,
         output,
         config.trainer,
-        FitSettings(config.steps, every, every, CLIP, _identity(config, splits["train"])),
+        FitSettings(
+            config.steps, every, every, CLIP, _identity(config, splits["train"]), "fewer pairs"
+        ),
         [*validated],
         {**origin, "config": _portable(config)},
         finish,

@@ -59,7 +59,9 @@ def run(config: PretrainStereoConfig) -> None:
         data,
         output,
         config.trainer,
-        FitSettings(config.steps, every, every, CLIP, _identity(config, train)),
+        FitSettings(
+            config.steps, every, every, CLIP, _identity(config, train), less="fewer frames"
+        ),
         [*validated],
         {**origin, "config": {**portable_config(config), "real": real}},
     )

@@ -111,6 +111,7 @@ def finished(config: TrainConfig) -> Path | None:
     return None if tested or not (training / WEIGHTS).exists() else training
 
 
+LESS = "fewer training.chunks or training.images"
 JOBS = SweepJobs("tf_lab.train", TrainConfig, row_label, finished)
 
 
@@ -190,7 +191,7 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
         data,
         directory,
         config.trainer,
-        FitSettings(optimizer.steps, t.save_every, validate_every, optimizer.clip),
+        FitSettings(optimizer.steps, t.save_every, validate_every, optimizer.clip, less=LESS),
         loggers=make_loggers(config, directory),
         callbacks=[sessions, *make_callbacks(config)],
         start=partial(_start, config, directory),

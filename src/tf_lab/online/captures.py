@@ -16,6 +16,12 @@ from tf_lab.network.network import Network
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.layout import GROUNDTRUTH_MESH
+from tf_lab.support.memory import telling_no_memory
+
+LESS = (
+    "give online.maps_budget=2 (GiB of feature maps that are kept), online.precision=bfloat16, or "
+    "a smaller online.batch"
+)
 
 log = logging.getLogger(__name__)
 
@@ -54,8 +60,19 @@ def reconstruct(
         color: whether the mesh is painted.
 
     Raises:
-        TFLabError: no frame can be read.
+        TFLabError: no frame can be read, or memory has run out.
     """
+    with telling_no_memory(capture.name, LESS):
+        return _reconstruct(network, capture, settings, progress, color)
+
+
+def _reconstruct(
+    network: Network,
+    capture: Capture,
+    settings: ReconstructionSettings,
+    progress: Callable[[int, int], None] | None,
+    color: bool,
+) -> Reconstruction:
     keyframes = select_keyframes(capture.world_T_cam, settings.keyframe_distance)
     online = Reconstructor(network, settings)
     used, skipped = [], []

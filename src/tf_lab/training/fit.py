@@ -22,6 +22,7 @@ from tf_lab.support.devices import accelerator_of
 from tf_lab.support.files import atomic_path, remove_abandoned, telling_no_space
 from tf_lab.support.layout import CONFIG, LAST, ORIGIN
 from tf_lab.support.locks import LOCK, NOTE, directory_lock
+from tf_lab.support.memory import telling_no_memory
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
 from tf_lab.training.finite import Finite
@@ -43,6 +44,7 @@ class FitSettings:
         clip: largest gradient norm; 0: any.
         identity: of all that shapes the weights, where the directory's name does not say it: a
             checkpoint of another is not resumed.
+        less: settings that make a step take less memory.
     """
 
     steps: int
@@ -50,6 +52,7 @@ class FitSettings:
     validate_every: int = 0
     clip: float = 0.0
     identity: str | None = None
+    less: str = ""
 
 
 def is_helper() -> bool:
@@ -112,7 +115,8 @@ def fit(
         The trainer, at its last step.
 
     Raises:
-        TFLabError: wrong settings of the trainer, a damaged checkpoint, or numbers gone wrong.
+        TFLabError: wrong settings of the trainer, a damaged checkpoint, numbers gone wrong, or too
+            little memory or space.
         KeyboardInterrupt: a callback ended it; the next call goes on.
     """
     made = _trainer(directory, trainer, settings, loggers, callbacks)
@@ -122,9 +126,11 @@ def fit(
     state = last if resumes else start()
     if state is not None:
         print(f"{'resuming' if resumes else 'going on from'} {state}")
-    # of the other processes of a distributed training; the loggers' files
+    others = as_parent(deaf=False)  # of the other processes of a distributed training
+    cures = [*filter(None, [settings.less]), "trainer.precision=16-mixed on a GPU"]
+    less = telling_no_memory(str(directory), f"a step has to take less: {', '.join(cures)}")
     try:
-        with as_parent(deaf=False), telling_no_space(directory):
+        with others, telling_no_space(directory), less:  # the loggers' files
             made.fit(module, batches, ckpt_path=state, weights_only=True)
     except MisconfigurationException as error:  # of a callback, which fit asks
         raise TFLabError(f"callbacks or trainer: {error}") from error
