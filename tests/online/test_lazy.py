@@ -22,6 +22,9 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK
 from tf_lab.network.fusion.weights import weights_from_logits
 from tf_lab.online import Reconstructor
+from tf_lab.online import frames as frames_module
+from tf_lab.support.devices import free_memory
+from tf_lab.support.memory import total_memory
 
 FIRST = (0, 0, 0)
 REGION = ([0.2, 0.3, 0.1], [1.2, 1.1, 1.3])  # within one chunk
@@ -208,6 +211,22 @@ def test_few_maps_in_memory_give_the_same_mesh(tiny_network: Factory, scene: Sce
         assert r.frames.nbytes <= budget
         frames_held = on_all(r), on_all(expected)
         assert torch.equal(*frames_held)
+
+
+def test_by_default_maps_take_half_of_what_is_free(
+    tiny_network: Factory, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = balanced(tiny_network(), scene)
+    expected = reconstruct(network, scene, views=3)
+    assert not expected.frames.crowded and expected.frames.budget > expected.frames.nbytes
+    monkeypatch.setattr(frames_module, "free_memory", lambda device: expected.frames.nbytes)
+    r = reconstruct(network, scene, views=3)
+    assert r.frames.crowded and r.frames.nbytes <= expected.frames.nbytes // 2
+    assert_same_surface(r.mesh(color=False), expected.mesh(color=False))
+
+
+def test_what_is_free_is_a_part_of_what_there_is() -> None:
+    assert 2**20 < free_memory(torch.device("cpu")) < total_memory()
 
 
 def on_all(r: Reconstructor) -> torch.Tensor:

@@ -155,7 +155,8 @@ class OnlineSettings:
     )
     maps_budget: float | None = setting(
         None,
-        "GiB that they may take; what has no room is encoded again when needed. null: all are kept",
+        "GiB that they may take; what has no room is encoded again when needed. null: half of what "
+        "is free when a reconstruction begins",
         above=0,
     )
     batch: int = setting(8192, "voxels fused at a time", least=1)

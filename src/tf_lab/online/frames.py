@@ -30,6 +30,7 @@ from tf_lab.network.network import LEVELS, Network
 from tf_lab.network.tokens import Measurements, measure
 from tf_lab.online.lattice.table import Table
 from tf_lab.stereo.depth import CHANNELS, DepthSequence
+from tf_lab.support.devices import free_memory
 
 FAR = 10_000.0  # metres, of cameras from the origin; a float32 there is exact to a millimetre
 PAIRS = 1 << 19  # (point, frame) pairs measured at a time
@@ -84,7 +85,7 @@ class Frames:
         network: in evaluation mode.
         dtype: of the maps kept.
         device: where the maps are kept; sampling happens there, and the samples move.
-        budget: bytes for maps; None: all are kept.
+        budget: bytes for maps; None: half of the memory that is free when the first is kept.
     """
 
     def __init__(
@@ -122,6 +123,11 @@ class Frames:
     def nbytes(self) -> int:
         """Memory of the maps, those of depth included."""
         return sum(pool.nbytes() for pool in [*self._pools.values(), self._stereo])
+
+    @property
+    def crowded(self) -> bool:
+        """Whether the budget has no room for the maps of all."""
+        return len(self) > self._capacity()
 
     def map_nbytes(self, level: str) -> int:
         """Memory of one frame's map."""
@@ -265,7 +271,7 @@ class Frames:
 
     def _capacity(self) -> int:
         """How many frames' maps may be there at once."""
-        if self.budget is None or not self._pools:
+        if self.budget is None or not self._pools:  # before the first is kept
             return max(len(self), 1)
         return max(1, self.budget // sum(pool.row_nbytes for pool in self._pools.values()))
 
@@ -278,13 +284,15 @@ class Frames:
                 self._shape[level] = (h, w)
                 self._pools[level] = Table(self.maps_device)
                 self._pools[level].add_column("maps", (h * w, c), self.dtype, 0)
+        if self.budget is None:
+            self.budget = free_memory(self.maps_device) // 2
         slot = len(self._resident)
         most = self._capacity()
         if slot >= most:
             old, slot = self._resident.popitem(last=False)
             self._slot[old] = -1
         for level, pool in self._pools.items():
-            pool.grow(max(slot + 1, pool.rows), None if self.budget is None else most)
+            pool.grow(max(slot + 1, pool.rows), most)
             pool["maps"][slot] = found[level][0].flatten(1).T.to(self.maps_device, self.dtype)
         self._slot[frame] = slot
         self._resident[frame] = slot

@@ -61,8 +61,8 @@ class ReconstructionSettings(InferenceSettings):
         logits: in which selection logits are kept; see `tf_lab.online.views.store`.
         maps: in which feature maps are kept, as ``precision``.
         maps_device: where they are kept ("cpu" beside a GPU); None: where the network is.
-        maps_budget: bytes they may take; what has no room is encoded again when needed. None: all
-            are kept.
+        maps_budget: bytes they may take; what has no room is encoded again when needed. None: half
+            of the memory that is free when the first frame comes.
 
     Raises:
         TFLabError: a value that cannot be.

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import torch
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.memory import total_memory
 from tf_lab.support.words import counted
 
 
@@ -55,3 +59,13 @@ def device_of(name: str, setting: str = "device") -> torch.device:
         there = counted(torch.cuda.device_count(), "CUDA device")
         raise TFLabError(f"{setting}={name}: torch sees {there}; use {setting}=cpu")
     return device
+
+
+def free_memory(device: torch.device) -> int:
+    """Bytes that may still be taken on a GPU, or of this machine's memory."""
+    if device.type == "cuda" and torch.cuda.is_available():
+        cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+        return int(torch.cuda.mem_get_info(device)[0]) + cached
+    info = Path("/proc/meminfo")  # of Linux; elsewhere what there is in all
+    found = re.search(r"MemAvailable:\s*(\d+) kB", info.read_text()) if info.exists() else None
+    return 1024 * int(found[1]) if found else total_memory()

@@ -12,6 +12,11 @@ from tf_lab.errors import TFLabError
 NONE_LEFT = ("out of memory", "can't allocate memory", "not enough memory")
 
 
+def total_memory() -> int:
+    """Bytes of memory that this machine has."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
 def check_memory(what: str, nbytes: float, cure: str) -> None:
     """That something takes no more memory than there is.
 
@@ -23,7 +28,7 @@ def check_memory(what: str, nbytes: float, cure: str) -> None:
     Raises:
         TFLabError: it takes more.
     """
-    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    there = total_memory()
     if nbytes > there:
         raise TFLabError(
             f"{what} takes about {nbytes / 2**30:,.0f} GiB, this machine has {there / 2**30:,.0f}; "

@@ -103,11 +103,11 @@ class Level:
         """Fused features [M, D] and view weights [M, K] of rows [M], at most ``batch`` at a time.
 
         Voxels with as many views are fused together, so that nobody waits for empty slots; where
-        maps have a budget those near by, which mostly hold the same frames.
+        not all maps have room those near by, which mostly hold the same frames.
         """
         frames = self.store.frames
         count = (frames[rows] >= 0).sum(1)
-        alike = count if self.frames.budget is None else z_order(self.blocks.voxels(rows))
+        alike = z_order(self.blocks.voxels(rows)) if self.frames.crowded else count
         order = alike.argsort(stable=True)
         psi = torch.zeros(len(rows), self.features["psi"].shape[1], device=self.device)
         weights = torch.zeros(len(rows), frames.shape[1], device=self.device)
