@@ -320,6 +320,28 @@ def test_what_scores_need_is_the_same_without_what_training_needs(tmp_path: Path
         assert (tmp_path / "some" / name).read_bytes() == (tmp_path / "all" / name).read_bytes()
 
 
+def test_distance_is_to_the_faces_of_a_given_mesh(tmp_path: Path) -> None:
+    """Of a wall of two triangles, whose vertices are metres away; the depth sees another wall."""
+    pose, K = box_room.look(np.zeros(3), 0.0, 0.0), box_room.intrinsics()
+    frame = Frame("a", np.zeros((60, 80, 3), np.uint8), K, pose, np.full((60, 80), 2.0, np.float32))
+    scene = write_scene(tmp_path / "scene", [frame], {}, "scene")
+    forward = pose[:3, 2]
+    across, up = pose[:3, 0], pose[:3, 1]
+    centre = 1.9 * forward
+    corners = [centre + 4 * (a * across + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    wall = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    settings = GroundTruthSettings()
+    write_groundtruth(scene, tmp_path / "given", settings, mesh=wall)
+    truth = GroundTruth(tmp_path / "given")
+    centers = truth.grid.centers().reshape(-1, 3).numpy()
+    expected = np.minimum(np.abs(centers @ forward - 1.9), 0.4)
+    found = np.asarray(truth.distance_volume, np.float32).ravel()
+    np.testing.assert_allclose(found, expected, atol=0.011)  # vertices are 2 cm apart at most
+    near = expected > 0.08
+    np.testing.assert_allclose(found[near], expected[near], atol=0.002)
+    assert len(trimesh.load(tmp_path / "given" / "mesh_gt.ply", process=False).vertices) == 4
+
+
 def test_how_fine_a_given_mesh_is_does_not_move_the_chunks(tmp_path: Path) -> None:
     pose, K = box_room.look(np.zeros(3), 0.0, 0.0), box_room.intrinsics()
     frame = Frame("a", np.zeros((60, 80, 3), np.uint8), K, pose, np.full((60, 80), 2.0, np.float32))

@@ -44,7 +44,7 @@ from tf_lab.support.words import counted
 
 logger = logging.getLogger(__name__)
 MANY_LOST = 0.2  # share of frames that makes a warning
-VERSION = 4  # of what is made of a capture; a reader that gives others raises it
+VERSION = 5  # of what is made of a capture; a reader that gives others raises it
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ import torch
 import trimesh
 from scipy.spatial import cKDTree
 from torch import Tensor
+from trimesh.remesh import subdivide_to_size
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.chunk_weights import Structure, chunk_candidates
@@ -34,10 +35,11 @@ from tf_lab.support.arrays import TooManyFilesError, read_array, read_arrays
 from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.text import read_numbers
 
-VERSION = 3  # changes whenever the output for the same depth does
+VERSION = 3  # changes whenever the output for the same depth does; of a given mesh, captures'
 MAX_DISTANCE = 0.4  # metres, largest value in distance.npy
 MAX_READING = 10.0  # metres, farthest depth that counts as seen
 CURE = "delete the scene and prepare it again"
+MAX_HALVINGS = 20  # of an edge of a given mesh: as long as a large house may be
 MAX_VOXELS = 4_000_000_000  # a larger volume is no indoor scene: some pose is wrong
 
 
@@ -118,6 +120,12 @@ def _tree(mesh: trimesh.Trimesh) -> cKDTree:
     return cKDTree(np.asarray(mesh.vertices), balanced_tree=False, compact_nodes=False)
 
 
+def dense(mesh: trimesh.Trimesh, spacing: float) -> trimesh.Trimesh:
+    """A mesh without edges longer than ``spacing`` (metres), so that vertices stand for faces."""
+    vertices, faces = subdivide_to_size(mesh.vertices, mesh.faces, spacing, max_iter=MAX_HALVINGS)
+    return trimesh.Trimesh(vertices, faces)  # merges vertices that faces share
+
+
 def surface_distance(vertices: cKDTree, grid: VoxelGrid) -> Tensor:
     """Distance [X, Y, Z] in metres from voxel centres to the nearest of the vertices, capped."""
     centers = grid.centers().reshape(-1, 3).numpy()
@@ -172,7 +180,7 @@ def write_groundtruth(
     np.savetxt(directory / "world2grid.txt", torch.linalg.inv(grid.world_T_index).numpy())
     if not training:
         return
-    tree = _tree(surface)
+    tree = _tree(seen if mesh is None else dense(mesh, grid.voxel / 2))
     with _volume(directory / "distance.npy", grid, np.float16) as distance:
         for first, last in slabs(grid, memory):
             part = grid.block((first, 0, 0), (last, *grid.shape[1:]))

@@ -54,7 +54,7 @@ class ResNetSettings(EncoderSettings):
     )
     centered: bool = setting(
         True,
-        "maps look at their own place; false: beside it, as weights trained so want it",
+        "maps look at their own place, to a sixth of their stride; false: beside it by half of it",
         shapes="weights",
         absent=False,
     )

@@ -12,7 +12,8 @@ class SameConv(nn.Conv2d):
     An output pixel of stride 2 looks at the upper left of the four pixels that it stands for
     (torchvision's padding) or at the lower right (TensorFlow's "SAME"), so that a map of stride s,
     with either throughout, looks (s - 1) / 2 image pixels beside its place. ``lower`` says which.
-    Both are the same network on an image shifted by a pixel; taking turns, the shifts cancel.
+    Both are the same network on an image shifted by a pixel; taking turns, the shifts nearly
+    cancel: a sixth of s is left, to one side and to the other in turn.
     """
 
     def __init__(
