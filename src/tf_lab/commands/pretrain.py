@@ -85,7 +85,7 @@ def run(config: PretrainConfig) -> None:
         output,
         config.trainer,
         FitSettings(
-            config.steps, every, every, CLIP, _identity(config, splits["train"]), "fewer pairs"
+            config.steps, every, every, CLIP, _identity(config, splits["train"]), less="fewer pairs"
         ),
         [*validated],
         {**origin, "config": _portable(config)},
