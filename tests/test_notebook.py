@@ -81,7 +81,7 @@ def test_it_is_committed_with_its_outputs_and_small() -> None:
     kinds = [kind for output in outputs for kind in output.get("data", {})]
     assert kinds.count("image/png") == 2  # charts
     assert kinds.count("image/jpeg") == len(list(PICTURES.glob("*.png"))) == 2
-    assert kinds.count("text/markdown") == 9
+    assert kinds.count("text/markdown") == 10  # what the study is, and tables
     assert not any(o.output_type == "error" or o.get("name") == "stderr" for o in outputs)
     assert NOTEBOOK.stat().st_size < 1_000_000
 
