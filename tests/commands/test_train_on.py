@@ -11,9 +11,12 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from helpers.tiny_jobs import TINY, Result, call, tiny_config, told
+from tf_lab.commands.train import identified
+from tf_lab.config.compose import compose_config
 from tf_lab.experiments.identity import training_directory
-from tf_lab.network.checkpoint import load_network, save_network
+from tf_lab.network.checkpoint import load_network, save_network, shipped_checkpoint
 from tf_lab.support.headers import read_info
+from tf_lab.training.initial import make_network
 
 Train = Callable[..., Result]
 NO_TEST = "data.test_size=0"
@@ -194,7 +197,7 @@ def test_our_encoder_is_known_by_its_content(
 ) -> None:
     """Another version of tf_lab may ship another one under the same word."""
     shipped = tmp_path / "tiny-encoder.safetensors"
-    monkeypatch.setattr("tf_lab.network.checkpoint.SHIPPED", tmp_path)
+    monkeypatch.setattr("tf_lab.network.checkpoint.FOLDER", tmp_path)
 
     def directory(weights: object) -> Path:
         return training_directory(tiny_config("encoder=resnet_tiny", f"encoder.weights={weights}"))
@@ -204,6 +207,19 @@ def test_our_encoder_is_known_by_its_content(
         save_file({"conv1.weight": torch.ones(3) * scale}, shipped)
         keys.append(directory("rooms"))
     assert keys[0] != keys[1] == directory(shipped)
+
+
+def test_an_encoder_out_of_a_checkpoint(tmp_path: Path) -> None:
+    """By its file or, of the shipped one, by a word; known as the encoder that it is."""
+    theirs = load_network(shipped_checkpoint())[0].encoder.state_dict()
+    torch.save(theirs, alone := tmp_path / "alone.pth")
+    directories = set()
+    for source in ("shipped", shipped_checkpoint(), alone):
+        weights = f"encoder.weights={source}"
+        config = compose_config("train", "data.size=1", "encoder=efficientnet_lite0", weights)
+        assert not different(theirs, make_network(config).encoder.state_dict())
+        directories.add(training_directory(identified(config)))
+    assert len(directories) == 1
 
 
 @pytest.mark.parametrize(
@@ -222,7 +238,7 @@ def test_our_encoder_is_known_by_its_content(
         (["init=OTHER", "optimizer.steps=9"], "no state of `python -m tf_lab.train`"),
         (["init_encoder=e.safetensors"], "takes the place of init's; without init= give enc"),
         (["init=STATE", "optimizer.steps=9", "init_encoder=CHECKPOINT"], "a state goes on as it"),
-        (["init=CHECKPOINT", "init_encoder=CHECKPOINT"], "of another encoder: "),
+        (["init=CHECKPOINT", "init_encoder=SHIPPED"], "of another encoder: "),
         (["init=CHECKPOINT", "init_encoder=nowhere.pth"], "nowhere.pth: no such weights file"),
         (["init=STATE"], "is at step 5 of optimizer.steps=5; give more"),
         (["init=STATE", "optimizer.steps=9", "refine=false"], "of another network: refine"),
@@ -239,6 +255,7 @@ def test_what_does_not_fit_is_named(
     places = {
         "OTHER": "other.ckpt",
         "CHECKPOINT": str(checkpoint),
+        "SHIPPED": str(shipped_checkpoint()),
         "STATE": str(checkpoint.parent / "last.ckpt"),
     }
     for name, place in places.items():

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from helpers.encoders import MAPS
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
@@ -20,11 +21,12 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import VoxelGrid
 from tf_lab.network.checkpoint import (
     load_network,
+    our_encoder,
     save_network,
     shipped_checkpoint,
-    shipped_encoder,
 )
 from tf_lab.network.chunks import Views
+from tf_lab.network.encoders.settings import EfficientNetLite0Settings, ResNetSettings
 from tf_lab.network.network import Network
 from tf_lab.online import ReconstructionSettings, Reconstructor
 
@@ -215,11 +217,12 @@ def test_where_shipped_files_lie() -> None:
 
     package = Path(tf_lab.__file__).parent
     assert shipped_checkpoint() == package / "weights" / "tiny.safetensors"
-    assert (
-        shipped_encoder("small", "efficientnet_lite0")
-        == package / "weights" / "efficientnet_lite0-encoder.safetensors"
-    )
-    assert shipped_encoder("small") == package / "weights" / "small-encoder.safetensors"
+    maps = {k: v for k, v in MAPS.items() if k != "pyramid_channels"} | {"weights": "rooms"}
+    lite0, resnet = EfficientNetLite0Settings(**maps), ResNetSettings(**maps)
+    weights = package / "weights"
+    assert our_encoder(lite0, "small") == weights / "efficientnet_lite0-encoder.safetensors"
+    assert our_encoder(resnet, "small") == weights / "small-encoder.safetensors"
+    assert our_encoder(replace(lite0, weights="shipped"), "small") == shipped_checkpoint()
 
 
 def test_a_checkpoint_of_another_version_reconstructs_as_it_did(box_scene: Path) -> None:

@@ -48,7 +48,10 @@ def test_without_the_package(
 def test_another_encoders_word(name: str, word: str, others: str) -> None:
     with pytest.raises(TFLabError) as caught:
         weights_file(word, ENCODERS[name].load())
-    message = f"encoder.weights={word}: no such weights file; give one, or none, rooms or {others},"
+    message = (
+        f"encoder.weights={word}: no such weights file; give one, or none, rooms, shipped or "
+        f"{others},"
+    )
     assert str(caught.value).startswith(message)
 
 

@@ -10,7 +10,7 @@ import torch
 from tf_lab.config.groups import OnlineSettings
 from tf_lab.config.schema import CaptureConfig, NetworkSettings, TrainConfig
 from tf_lab.evaluation.registry import METRICS
-from tf_lab.network.checkpoint import shipped_encoder
+from tf_lab.network.checkpoint import our_encoder
 from tf_lab.network.encoders.pyramid import Encoder
 from tf_lab.network.encoders.settings import EncoderSettings
 from tf_lab.network.encoders.weights import load_encoder_weights
@@ -72,8 +72,7 @@ def check_test(config: TrainConfig) -> None:
 
 def initialise_encoder(encoder: Encoder, settings: EncoderSettings, model: str) -> None:
     """Load the weights that ``encoder.weights`` means for a model of this name."""
-    shipped = shipped_encoder(model, settings.name)
-    load_encoder_weights(encoder, settings.weights, shipped)
+    load_encoder_weights(encoder, settings.weights, our_encoder(settings, model))
 
 
 def reconstruction_settings(

@@ -14,6 +14,8 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from tf_lab.errors import TFLabError
+from tf_lab.network.encoders.settings import EncoderSettings
+from tf_lab.network.encoders.weights import SHIPPED
 from tf_lab.network.finite import check_finite
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
@@ -25,7 +27,7 @@ from tf_lab.support.layout import WEIGHTS
 from tf_lab.support.records import record
 
 log = logging.getLogger(__name__)
-SHIPPED = Path(__file__).resolve().parents[1] / "weights"
+FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 
 def save_network(network: Network, path: Path, info: dict[str, Any]) -> None:
@@ -108,12 +110,15 @@ def _config_for(path: Path, text: str) -> NetworkConfig:
 
 def shipped_checkpoint() -> Path:
     """The checkpoint that comes with the package."""
-    return SHIPPED / "tiny.safetensors"
+    return FOLDER / "tiny.safetensors"
 
 
-def shipped_encoder(model: str, encoder: str = "resnet") -> Path:
-    """The pre-trained encoder ("rooms") that comes with the package, if any.
+def our_encoder(encoder: EncoderSettings, model: str) -> Path:
+    """The file in the package that has our weights of an encoder, if they come with it.
 
-    A ResNet has its size from the model; any other encoder is the same for all.
+    The checkpoint's ("shipped"), or pre-trained ("rooms"): a ResNet has its size from the model,
+    any other encoder is the same for all.
     """
-    return SHIPPED / f"{model if encoder == 'resnet' else encoder}-encoder.safetensors"
+    if encoder.weights == SHIPPED:
+        return shipped_checkpoint()
+    return FOLDER / f"{model if encoder.name == 'resnet' else encoder.name}-encoder.safetensors"

@@ -25,17 +25,22 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.checkpoint import (
     checkpoint_file,
     load_network,
+    our_encoder,
     shipped_checkpoint,
-    shipped_encoder,
 )
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.network.encoders.settings import EncoderSettings
-from tf_lab.network.encoders.weights import ROOMS, load_encoder, read_state_dict, weights_file
+from tf_lab.network.encoders.weights import (
+    ROOMS,
+    SHIPPED,
+    load_encoder,
+    read_encoder,
+    weights_file,
+)
 from tf_lab.network.network import Network
 from tf_lab.network.settings import NetworkConfig
 from tf_lab.training.state import read_state
 
-SHIPPED = "shipped"
 SHIPPED_SETTINGS = "encoder=efficientnet_lite0 inputs=stereo"  # that it was trained with
 # inputs that say nothing before they are trained: weights without them are trained on with them
 ADDED = {"matching": "agreement.", "stereo": "stereo_evidence."}
@@ -90,21 +95,22 @@ def with_initial_digests(config: TrainConfig, content: Content) -> Content:
             f"init_encoder={config.init_encoder}: a state goes on as it is; to exchange its "
             "encoder give init=model.safetensors beside it"
         )
-    return replace(content, encoder=_digest(read_state_dict(Path(config.init_encoder))))
+    return replace(content, encoder=_digest(read_encoder(Path(config.init_encoder))))
 
 
 def with_encoder_digest(encoder: EncoderSettings, model: str, content: Content) -> Content:
     """With a hash of what is in the file that an encoder's weights come from, if they do.
 
-    Ours ("rooms") are another file in another version of tf_lab; what others published stays.
+    Ours ("rooms", "shipped") are another file in another version of tf_lab; what others published
+    stays.
 
     Raises:
         TFLabError: it cannot be read.
     """
     file = weights_file(encoder.weights, ENCODERS[encoder.name].load())
-    if encoder.weights == ROOMS and (shipped := shipped_encoder(model, encoder.name)).is_file():
-        file = shipped
-    return content if file is None else replace(content, encoder=_digest(read_state_dict(file)))
+    if encoder.weights in (ROOMS, SHIPPED) and (ours := our_encoder(encoder, model)).is_file():
+        file = ours
+    return content if file is None else replace(content, encoder=_digest(read_encoder(file)))
 
 
 def initial_state(config: TrainConfig) -> Path | None:

@@ -16,7 +16,7 @@ class EncoderSettings:
     name: str = setting(about="the kind of encoder", shapes="weights")
     weights: str = setting(
         "imagenet",
-        "to start from: imagenet, rooms (ours, pre-trained on the rooms), none, or a file",
+        "to start from: imagenet, rooms (pre-trained), shipped (our checkpoint's), none, or a file",
         shapes="weights",
         kind="source",
     )
@@ -92,7 +92,7 @@ class XFeatSettings(MixedPyramidSettings):
     name: str = setting("xfeat", "the kind of encoder", shapes="weights")
     weights: str = setting(
         "xfeat",
-        "to start from: xfeat, rooms (ours, pre-trained on the rooms), none, or a file",
+        "to start from: xfeat, rooms (pre-trained), shipped (our checkpoint's), none, or a file",
         shapes="weights",
         kind="source",
     )

@@ -13,7 +13,9 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.encoders.pyramid import PYRAMID, Encoder
 from tf_lab.network.finite import check_finite
 
-RANDOM, ROOMS = "none", "rooms"  # words of every kind of encoder, beside its `PUBLISHED`
+# words of every kind of encoder, beside its `PUBLISHED`
+RANDOM, ROOMS, SHIPPED = "none", "rooms", "shipped"
+IN_NETWORK = "encoder."  # begins the names of its tensors in a checkpoint
 MOST_SHARED = 16  # tensors may share what is stored
 
 
@@ -39,6 +41,17 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
         raise TFLabError(f"{path}: not a weights file (its tensors are larger than it)")
     check_finite(state, path)
     return state
+
+
+def read_encoder(path: Path) -> dict[str, Tensor]:
+    """Of a checkpoint the tensors of its encoder, of any other weights file all.
+
+    Raises:
+        TFLabError: as `read_state_dict`.
+    """
+    state = read_state_dict(path)
+    own = {k.removeprefix(IN_NETWORK): v for k, v in state.items() if k.startswith(IN_NETWORK)}
+    return own or state
 
 
 def packaged_weights(word: str, package: str, file: str, install: str) -> dict[str, Tensor]:
@@ -68,26 +81,27 @@ def weights_file(source: str, encoder: type[Encoder]) -> Path | None:
     Raises:
         TFLabError: it is neither.
     """
-    words = (RANDOM, ROOMS, encoder.PUBLISHED)
+    words = (RANDOM, ROOMS, SHIPPED, encoder.PUBLISHED)
     if source in words:
         return None
     if not Path(source).is_file():
         raise TFLabError(
-            f"encoder.weights={source}: no such weights file; give one, or {RANDOM}, {ROOMS} or "
-            f"{encoder.PUBLISHED}, which this encoder knows"
+            f"encoder.weights={source}: no such weights file; give one, or {RANDOM}, {ROOMS}, "
+            f"{SHIPPED} or {encoder.PUBLISHED}, which this encoder knows"
         )
     return Path(source)
 
 
-def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
+def load_encoder_weights(encoder: Encoder, source: str, ours: Path) -> None:
     """Initialise an encoder.
 
     Args:
         encoder: changed in place.
         source: "none" (random), the encoder's word for what others published (`PUBLISHED`), "rooms"
-            (ours, pre-trained on the rooms' train split, ``shipped``), or a path to a state dict
-            (.pth with the keys of the published weights, or .safetensors).
-        shipped: the file behind "rooms" for this model size.
+            (ours, pre-trained on the rooms' train split), "shipped" (that of the checkpoint that
+            comes with the package), or a path to a state dict (.pth with the keys of the published
+            weights, or .safetensors) or to a checkpoint.
+        ours: the file behind "rooms" for this model size, or behind "shipped".
 
     Raises:
         TFLabError: no weights can be had, or they are of another architecture.
@@ -96,19 +110,19 @@ def load_encoder_weights(encoder: Encoder, source: str, shipped: Path) -> None:
         return
     file = weights_file(source, type(encoder))
     if file is not None:
-        state = read_state_dict(file)
+        state = read_encoder(file)
     elif source == encoder.PUBLISHED:
         state = encoder.published_weights()
     else:
-        if not shipped.is_file():
-            model, _, kind = shipped.stem.removesuffix("-encoder").partition("-")
+        if not ours.is_file():
+            model, _, kind = ours.stem.removesuffix("-encoder").partition("-")
             words = f"model={model} encoder={kind}" if kind else f"model={model}"
             raise TFLabError(
-                f"encoder.weights=rooms: {shipped.name} does not ship with tf_lab; make it with "
+                f"encoder.weights=rooms: {ours.name} does not ship with tf_lab; make it with "
                 f"`python -m tf_lab.pretrain {words}` and give the file that it names "
                 "(encoder.weights=FILE), or use encoder.weights=none"
             )
-        state = read_state_dict(shipped)
+        state = read_encoder(ours)
     state = encoder.trunk_of(state)
     own = encoder.state_dict()
     unknown = [k for k, v in state.items() if k not in own or own[k].shape != v.shape]
@@ -133,7 +147,7 @@ def load_encoder(encoder: Encoder, file: Path) -> None:
     Raises:
         TFLabError: it cannot be read, or is of another encoder.
     """
-    state = read_state_dict(file)
+    state = read_encoder(file)
     own = encoder.state_dict()
     unlike = [k for k in sorted({*own, *state}) if _shape(own, k) != _shape(state, k)]
     if unlike:
