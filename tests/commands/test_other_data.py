@@ -109,6 +109,24 @@ def test_the_same_captures_elsewhere(root: Path, tmp_path: Path) -> None:
     assert directories(copy, "data.train=[kitchen]") == first  # named instead of left over
 
 
+def test_scores_by_given_ground_truth(root: Path, tmp_path: Path) -> None:
+    """Another evaluation of the same training; known by content, and there for every test scene."""
+    own = directories(root)
+    (scene,) = open_source(of_root(root).data).scenes("test")["test"].values()
+    files = shutil.ignore_patterns("sdf.npy", "distance.npy", "chunks.npz")
+    shutil.copytree(scene / "groundtruth", tmp_path / "given" / "office", ignore=files)
+    given = tmp_path / "given"
+    first = directories(root, f"groundtruth={given}")
+    assert (first[0], first[1] == own[1]) == (own[0], False)
+    copy = shutil.copytree(given, tmp_path / "copy")
+    assert directories(root, f"groundtruth={copy}") == first
+    np.savetxt(copy / "office" / "world2grid.txt", np.eye(4))
+    assert directories(root, f"groundtruth={copy}")[1] not in (own[1], first[1])
+    (copy / "office" / "mesh_gt.ply").unlink()
+    with pytest.raises(TFLabError, match="lacks that of 1 of 1 scene, the first: office; a scene"):
+        directories(root, f"groundtruth={copy}")
+
+
 def test_a_capture_more(root: Path) -> None:
     training, run = directories(root)
     write(root / "hall", 8, 12)

@@ -73,6 +73,7 @@ def test_a_job_of_a_sweep_gets_it_as_it_stands(text: str) -> None:
         ("pretrain", "data.root", ()),
         ("pretrain", "real", ()),
         ("train", "init", ()),
+        ("train", "groundtruth", ()),
         ("train", "init_encoder", ("init=shipped",)),
         ("pretrain", "like", ()),
         ("prepare", "shards", ()),

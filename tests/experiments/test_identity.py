@@ -34,6 +34,7 @@ NEITHER = (
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),
     *("training.maps_memory", "init", "init_encoder", "data.furniture", "data.textures"),
+    "groundtruth",
 )
 
 

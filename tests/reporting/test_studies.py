@@ -1,6 +1,7 @@
 """Only runs that may be compared share a study."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from helpers.made_up_runs import ROWS, SCENES, write_run, write_study
 from tf_lab.errors import TFLabError
+from tf_lab.reporting.report import describe
 from tf_lab.reporting.results import keep_run, read_run
 from tf_lab.reporting.studies import open_study
 
@@ -74,6 +76,17 @@ def test_scores_compare_of_the_same_scenes_and_rows(tmp_path: Path) -> None:
     assert [other.settings["optimizer.steps"] for other in study.others] == [7]
     told = [line for line in remarks if line.endswith("; its scores are in the table of settings")]
     assert len(remarks) == 4 and len(told) == 1 and "optimizer.steps 7" in told[0]
+
+
+def test_scores_by_other_ground_truth_do_not_compare(tmp_path: Path) -> None:
+    write_study(tmp_path, {"Ours": 0.6, "Ours: 4 images": 0.5})
+    write_run(tmp_path, "content.groundtruth=abc", 0, HALF)
+    study, remarks = open_study([tmp_path])
+    assert (len(study.others), len(remarks)) == (0, 1)
+    assert "scored by the ground truth given" not in describe(study)
+    (key,) = re.findall(r"left out: study ([0-9a-f]+)", remarks[0])
+    other, _ = open_study([tmp_path], key=key)
+    assert "test scenes scored by the ground truth given" in describe(other)
 
 
 def test_trainings_on_other_data_compare_by_the_same_test(tmp_path: Path) -> None:

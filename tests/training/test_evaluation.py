@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import numpy as np
 import pytest
 import torch
 import trimesh
@@ -90,13 +91,34 @@ def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]
     monkeypatch.setattr("tf_lab.evaluation.scenes.draw", lambda *_: None)
     monkeypatch.setattr("tf_lab.evaluation.protocol.SAMPLES", 2000)
 
-    def run(name: str, count: int, **devices: Any) -> tuple[SceneEvaluation, Path]:
+    def run(
+        name: str, count: int, groundtruth: Path | None = None, **devices: Any
+    ) -> tuple[SceneEvaluation, Path]:
         network: Any = torch.nn.Identity()
-        module = SceneEvaluation(network, ReconstructionSettings(), MORE, tmp_path / name, "Ours")
+        settings, to = ReconstructionSettings(), tmp_path / name
+        module = SceneEvaluation(network, settings, MORE, to, "Ours", groundtruth)
         evaluate_network(module, scenes[:count], accelerator="cpu", **devices)
         return module, tmp_path / name
 
     return run
+
+
+@pytest.fixture
+def published(scenes: list[Path], tmp_path: Path) -> Path:
+    """The ground truth of the first two scenes, whose world is a turned one, in their source's."""
+    source_T_world = trimesh.transformations.rotation_matrix(1.0, (1, 2, 3))
+    source_T_world[:3, 3] = (5, -6, 7)
+    for scene in scenes[:2]:
+        cameras = {**np.load(scene / "cameras.npz"), "source_T_world": source_T_world}
+        (scene / "cameras.npz").unlink()
+        np.savez(scene / "cameras.npz", **cameras)
+        own, given = scene / "groundtruth", tmp_path / "published" / scene.name
+        given.mkdir(parents=True)
+        read_mesh(own / "mesh_gt.ply").apply_transform(source_T_world).export(given / "mesh_gt.ply")
+        (given / "occlusion_mask.npy").symlink_to(own / "occlusion_mask.npy")
+        world2grid = np.loadtxt(own / "world2grid.txt") @ np.linalg.inv(source_T_world)
+        np.savetxt(given / "world2grid.txt", world2grid)
+    return tmp_path / "published"
 
 
 def stored(run: Path) -> dict[str, Any]:
@@ -108,6 +130,23 @@ def test_scenes_of_one_name_are_refused_not_mixed(evaluate: Evaluate, scenes: li
     (scenes[1] / "scene.json").write_text(meta)
     with pytest.raises(TFLabError, match="room1: a second test scene that calls itself room0"):
         evaluate("same", 2, devices=1)
+
+
+def test_given_ground_truth_is_in_the_sources_world(evaluate: Evaluate, published: Path) -> None:
+    """The scores are those by the scenes' own, of which it is a copy there."""
+    own, given = (
+        stored(evaluate(*words, devices=1)[1]) for words in [("own", 2), ("given", 2, published)]
+    )
+    assert own["scenes"]["room0"]["acc"] < own["scenes"]["room1"]["acc"] < 5
+    for name, scores in given["scenes"].items():
+        assert scores == pytest.approx(own["scenes"][name], rel=1e-3, abs=1e-3)
+
+
+def test_given_ground_truth_is_what_scores(evaluate: Evaluate, published: Path) -> None:
+    path = published / "room0" / "mesh_gt.ply"
+    read_mesh(path).apply_translation((0, 0, 9)).export(path)
+    module, _ = evaluate("given", 1, published, devices=1)
+    assert module.results["room0"].scores["fscore"] == 0
 
 
 def test_the_bar_says_where_in_a_scene_the_work_is(

@@ -19,6 +19,7 @@ from tf_lab.config.stored import portable_config, write_config
 from tf_lab.data.sources.source import DataSource, open_source
 from tf_lab.data.sources.tested import content_of
 from tf_lab.errors import TFLabError
+from tf_lab.evaluation.protocol import check_groundtruth, groundtruth_digest
 from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 from tf_lab.experiments.launcher import SweepJobs
@@ -92,6 +93,10 @@ def identified(config: TrainConfig) -> TrainConfig:
         TFLabError: the shards cannot be opened, the scenes not be made, or a file not be read.
     """
     content = with_initial_digests(config, content_of(config.data, config.test_on))
+    if config.groundtruth is not None:
+        folder = Path(config.groundtruth)
+        check_groundtruth(folder, content.scenes.get("test", ()))
+        content = replace(content, groundtruth=groundtruth_digest(folder))
     if config.inputs.stereo:
         content = replace(content, stereo=stereo_identity())
     trainer = config.trainer
@@ -128,7 +133,10 @@ def _evaluate_training(config: TrainConfig, checkpoint: Path) -> None:
 def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     network, info = load_network(checkpoint)
     _check_seen(config)
-    scenes = [*_tested(config).scenes("test")["test"].values()]
+    scenes = _tested(config).scenes("test")["test"]
+    groundtruth = None if config.groundtruth is None else Path(config.groundtruth)
+    if groundtruth is not None:
+        check_groundtruth(groundtruth, scenes)
     if not is_helper():
         write_config(config, run / CONFIG)
         origin = {**provenance(), "checkpoint": str(checkpoint), **_scenes(config, "test")}
@@ -136,7 +144,7 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
     # the trainer brings it to its device
     network = ready(network, config.online, torch.device("cpu"))
     settings, metrics = capture_settings(config), [*config.metrics.values()]
-    module = SceneEvaluation(network, settings, metrics, run, row_label(config))
+    module = SceneEvaluation(network, settings, metrics, run, row_label(config), groundtruth)
     t = config.trainer
     nodes = {name: value for name, value in t.others.items() if name == "num_nodes"}
     devices = {
@@ -144,7 +152,7 @@ def _evaluate(config: TrainConfig, checkpoint: Path, run: Path) -> None:
         "devices": t.devices,
         "strategy": t.strategy,
     }
-    evaluate_network(module, scenes, **devices, **nodes)
+    evaluate_network(module, [*scenes.values()], **devices, **nodes)
 
 
 def train(config: TrainConfig) -> Path:

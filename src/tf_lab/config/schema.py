@@ -105,6 +105,12 @@ class TrainConfig(InferenceSettings, NetworkSettings):
         kind="path",
     )
     output: str = setting("outputs", "trainings/ and runs/ are made in it", kind="path")
+    groundtruth: str | None = setting(
+        None,
+        "score test scenes by this ground truth, a folder in the published layout, not by their "
+        "own",
+        kind="path",
+    )
     metrics: dict[str, Any] = setting(
         {}, "beside the paper's, by name, with their settings", shapes="scores"
     )

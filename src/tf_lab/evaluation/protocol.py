@@ -10,6 +10,7 @@ Published layout::
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,7 @@ from tf_lab.support.words import counted
 
 PROTOCOL = "transformerfusion"
 LAYOUT = "the published layout needs it"
+FILES = (GROUNDTRUTH_MESH, "occlusion_mask.npy", "world2grid.txt")  # of a scene
 MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")  # what others write
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
 CLEAR = 2.5  # a factor between the sizes of prediction and ground truth that nobody means
@@ -176,6 +178,40 @@ def scene_names(groundtruth: Path) -> list[str]:
     if not names:
         raise TFLabError(f"{groundtruth}: no scene folder in it; expected <scene>/mesh_gt.ply")
     return sorted(names)
+
+
+def check_groundtruth(folder: Path, scenes: Iterable[str]) -> None:
+    """That a folder in the published layout has the ground truth of these scenes.
+
+    Raises:
+        TFLabError: it lacks a file of one.
+    """
+    wanted = list(scenes)
+    missing = [n for n in wanted if not all((folder / n / file).is_file() for file in FILES)]
+    if missing:
+        raise TFLabError(
+            f"groundtruth={folder}: lacks that of {len(missing)} of {counted(len(wanted), 'scene')}"
+            f", the first: {missing[0]}; a scene's is {missing[0]}/{{{','.join(FILES)}}}"
+        )
+
+
+def groundtruth_digest(folder: Path) -> str:
+    """A hash of all files of the published layout in a folder, wherever it lies.
+
+    Raises:
+        TFLabError: there is no scene in it, or a file cannot be read.
+    """
+    digest = hashlib.sha256()
+    for path in (folder / name / file for name in scene_names(folder) for file in FILES):
+        try:
+            with path.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").hexdigest()
+        except FileNotFoundError:  # of a scene that may not be used
+            continue
+        except OSError as error:
+            raise TFLabError(f"{path}: cannot be read ({error.strerror})") from error
+        digest.update(f"{path.parent.name}/{path.name} {content}\n".encode())
+    return digest.hexdigest()[:16]
 
 
 def evaluate(

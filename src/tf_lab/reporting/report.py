@@ -78,10 +78,12 @@ def describe(study: Study) -> str:
     s = study.settings
     elsewhere = s.get("test.data.name")  # test_on=
     data = f"data={s['data.name']}" + (f" test_on={elsewhere}" if elsewhere else "")
+    given = s.get("test.content.groundtruth") is not None
+    by = " scored by the ground truth given (groundtruth=)" if given else ""
     text = (
         f"Study {study.key}: {len(study.runs)} runs of {len(study.rows)} rows, seeds "
         f"{', '.join(map(str, study.seeds()))}; {data}, model={s['model.name']}, "
-        f"{s['optimizer.steps']} steps; {len(study.scenes)} test scenes, "
+        f"{s['optimizer.steps']} steps; {len(study.scenes)} test scenes{by}, "
         f"meshed at {100 * s['test.resolution']:g} cm."
     )
     missing, rows = study.missing, len(ABLATIONS) + 1

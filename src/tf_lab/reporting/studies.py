@@ -84,7 +84,7 @@ class Study:
     def compares(self, other: Study) -> bool:
         """Whether the other's scores are of the same scenes, and of any of the same rows."""
         mine, theirs = self.settings, other.settings
-        test = ("test.scenes", "test.protocol", "test.content.test")
+        test = ("test.scenes", "test.protocol", "test.content.test", "test.content.groundtruth")
         versions = [n for n in mine.keys() & theirs if n.startswith("content.versions.")]
         alike = all(mine.get(name) == theirs.get(name) for name in (*test, *versions))
         data = {s.get("test.data.name", s.get("data.name")) for s in (mine, theirs)}

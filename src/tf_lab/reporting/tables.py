@@ -73,9 +73,11 @@ def _theirs(study: Study) -> str:
     """What the paper's figures are of, and what of them compares."""
     tested = study.settings.get("test.data.name") or study.settings.get("data.name")
     if tested == "scannet":
+        given = study.settings.get("test.content.groundtruth") is not None
+        compare = "if it is what was given" if given else "by that alone"
         return (
-            "of all 100 test scenes and the authors' ground truth: values compare by that alone "
-            "(`python -m tf_lab.evaluate`)."
+            f"of all 100 test scenes and the authors' ground truth: values compare {compare} "
+            "(`groundtruth=`)."
         )
     return "of ScanNet: only orders compare, not values."
 

@@ -63,6 +63,8 @@ class SceneEvaluation(L.LightningModule):
         metrics: settings of metrics beyond the paper's.
         run: where a test writes ``metrics.json``, meshes and pictures.
         label: the row's name.
+        groundtruth: what test scenes are scored by, a folder in the published layout; None: by
+            their own.
 
     Attributes:
         tell: if set, is told where in a scene the work is.
@@ -75,19 +77,21 @@ class SceneEvaluation(L.LightningModule):
         metrics: Sequence[Any] = (),
         run: Path | None = None,
         label: str = "",
+        groundtruth: Path | None = None,
     ) -> None:
         super().__init__()
         self.network, self.capture_settings = network, settings
         self.scores = scene_means(metrics)
         self.names = [METRICS.named(each).name for each in with_paper(metrics)]
-        self.run, self.label = run, label
+        self.run, self.label, self.groundtruth = run, label, groundtruth
         self.tell: Callable[[str], None] | None = None
         self.results: dict[str, SceneResult] = {}
 
     def validation_step(self, directory: Path | None, batch_idx: int) -> None:
         """Reconstruct and score a scene of the val split."""
         if directory is not None:
-            self._score(Scene(directory), color=False)
+            scene = Scene(directory)
+            self._score(scene, scene.groundtruth, color=False)
 
     def on_validation_epoch_end(self) -> None:
         """Log the means over all scenes as ``val/<metric>``."""
@@ -113,7 +117,7 @@ class SceneEvaluation(L.LightningModule):
             )
         kept = kept_scene(self.run, scene.name, code)
         if kept is None:
-            result, scores, seconds = self._score(scene)
+            result, scores, seconds = self._score(scene, self._truth_of(scene))
             kept = save_scene(result, scene, scores, seconds, self.run, code)
         else:
             for name in self.names:
@@ -135,7 +139,13 @@ class SceneEvaluation(L.LightningModule):
             print(f"the median surface point of a test scene is seen by {seen:.0f} keyframes")
             write_metrics(self.run, self.label, mean, results)
 
-    def _score(self, scene: Scene, color: bool = True) -> tuple[Reconstruction, Scores, float]:
+    def _truth_of(self, scene: Scene) -> Path:
+        """The folder of the ground truth that a test scene is scored by."""
+        return scene.groundtruth if self.groundtruth is None else self.groundtruth / scene.name
+
+    def _score(
+        self, scene: Scene, truth: Path, color: bool = True
+    ) -> tuple[Reconstruction, Scores, float]:
         """A scene's reconstruction, its scores, and the seconds that reconstructing it took."""
 
         def show(done: int, total: int) -> None:
@@ -145,8 +155,11 @@ class SceneEvaluation(L.LightningModule):
         start = time.time()
         result = reconstruct(self.network, scene, self.capture_settings, show, color)
         seconds = time.time() - start
-        truth = read_groundtruth(scene.groundtruth)
-        return result, in_order(self.scores(compared(result.mesh, truth)), self.names), seconds
+        mesh = result.mesh
+        if truth != scene.groundtruth:  # which is in the scene's world, others are in the source's
+            mesh = mesh.copy().apply_transform(scene.source_T_world)
+        found = compared(mesh, read_groundtruth(truth))
+        return result, in_order(self.scores(found), self.names), seconds
 
     def _means(self) -> Scores:
         """The means over the scenes of all processes; the next epoch starts anew."""

@@ -25,6 +25,9 @@ class Content:
     )
     train: str | None = setting(None, "digest of the training scenes", shapes="weights")
     test: str | None = setting(None, "digest of the test scenes", shapes="scores")
+    groundtruth: str | None = setting(
+        None, "digest of the ground truth that scenes are scored by", shapes="scores", absent=None
+    )
     shards: str | None = setting(None, "digest of the shards", shapes="weights")
     init: str | None = setting(None, "digest of what training starts from", shapes="weights")
     encoder: str | None = setting(None, "digest of the encoder's first weights", shapes="weights")
