@@ -125,6 +125,8 @@ def test_scores_by_given_ground_truth(root: Path, tmp_path: Path) -> None:
     (copy / "office" / "mesh_gt.ply").unlink()
     with pytest.raises(TFLabError, match="lacks that of 1 of 1 scene, the first: office; a scene"):
         directories(root, f"groundtruth={copy}")
+    with pytest.raises(TFLabError, match="nowhere: no such folder"):
+        directories(root, "groundtruth=nowhere")
 
 
 def test_a_capture_more(root: Path) -> None:

@@ -184,8 +184,9 @@ def check_groundtruth(folder: Path, scenes: Iterable[str]) -> None:
     """That a folder in the published layout has the ground truth of these scenes.
 
     Raises:
-        TFLabError: it lacks a file of one.
+        TFLabError: there is no such folder, or it lacks a file of one.
     """
+    scene_names(folder)
     wanted = list(scenes)
     missing = [n for n in wanted if not all((folder / n / file).is_file() for file in FILES)]
     if missing:
