@@ -120,6 +120,8 @@ def test_scores_by_given_ground_truth(root: Path, tmp_path: Path) -> None:
     assert (first[0], first[1] == own[1]) == (own[0], False)
     copy = shutil.copytree(given, tmp_path / "copy")
     assert directories(root, f"groundtruth={copy}") == first
+    shutil.copytree(given / "office", copy / "hall")  # of a scene that is not tested
+    assert directories(root, f"groundtruth={copy}") == first
     np.savetxt(copy / "office" / "world2grid.txt", np.eye(4))
     assert directories(root, f"groundtruth={copy}")[1] not in (own[1], first[1])
     (copy / "office" / "mesh_gt.ply").unlink()

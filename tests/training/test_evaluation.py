@@ -142,11 +142,18 @@ def test_given_ground_truth_is_in_the_sources_world(evaluate: Evaluate, publishe
         assert scores == pytest.approx(own["scenes"][name], rel=1e-3, abs=1e-3)
 
 
-def test_given_ground_truth_is_what_scores(evaluate: Evaluate, published: Path) -> None:
+def test_given_ground_truth_is_what_scores(
+    evaluate: Evaluate, published: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+    monkeypatch.setattr("tf_lab.evaluation.scenes.draw", lambda *given: drawn.append(given))
     path = published / "room0" / "mesh_gt.ply"
     read_mesh(path).apply_translation((0, 0, 9)).export(path)
     module, _ = evaluate("given", 1, published, devices=1)
     assert module.results["room0"].scores["fscore"] == 0
+    ((result, _, truth, *_),) = drawn
+    off = truth.vertices - result.mesh.vertices
+    assert np.linalg.norm(off, axis=1) == pytest.approx(9, abs=1e-3)
 
 
 def test_the_bar_says_where_in_a_scene_the_work_is(

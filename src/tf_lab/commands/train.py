@@ -95,8 +95,9 @@ def identified(config: TrainConfig) -> TrainConfig:
     content = with_initial_digests(config, content_of(config.data, config.test_on))
     if config.groundtruth is not None:
         folder = Path(config.groundtruth)
-        check_groundtruth(folder, content.scenes.get("test", ()))
-        content = replace(content, groundtruth=groundtruth_digest(folder))
+        scenes = content.scenes.get("test", ())  # of embedded data not known before it is made
+        check_groundtruth(folder, scenes)
+        content = replace(content, groundtruth=groundtruth_digest(folder, scenes))
     if config.inputs.stereo:
         content = replace(content, stereo=stereo_identity())
     trainer = config.trainer

@@ -38,7 +38,7 @@ UNITS = {1000: "millimetres", 100: "centimetres", 39.37: "inches", 3.28: "feet"}
 
 
 @dataclass(frozen=True)
-class GroundTruth:
+class PublishedGroundTruth:
     """mesh in metres; occlusion_mask [X, Y, Z]; world2grid [4, 4] (see `visibility`)."""
 
     mesh: trimesh.Trimesh
@@ -50,8 +50,15 @@ class GroundTruth:
         """The ground-truth points, [G, 3], metres: the vertices of the mesh."""
         return np.asarray(self.mesh.vertices)
 
+    def moved(self, transform: np.ndarray) -> PublishedGroundTruth:
+        """The same after a transform [4, 4] of the world."""
+        world2grid = self.world2grid @ np.linalg.inv(transform)
+        return PublishedGroundTruth(
+            self.mesh.copy().apply_transform(transform), self.occlusion_mask, world2grid
+        )
 
-def read_groundtruth(directory: Path) -> GroundTruth:
+
+def read_groundtruth(directory: Path) -> PublishedGroundTruth:
     """The ground truth of one scene in the published layout.
 
     Raises:
@@ -68,7 +75,7 @@ def read_groundtruth(directory: Path) -> GroundTruth:
         )
     if not np.isfinite(mask).all():
         raise TFLabError(f"{path}: holds NaN or infinity")
-    return GroundTruth(mesh, mask, _read_world2grid(directory / "world2grid.txt"))
+    return PublishedGroundTruth(mesh, mask, _read_world2grid(directory / "world2grid.txt"))
 
 
 def _read_world2grid(path: Path) -> np.ndarray:
@@ -107,7 +114,9 @@ def evaluate_scene(
     return score(compared(prediction, truth, seed), metrics)
 
 
-def compared(mesh: trimesh.Trimesh | None, truth: GroundTruth, seed: int = 0) -> Comparison | None:
+def compared(
+    mesh: trimesh.Trimesh | None, truth: PublishedGroundTruth, seed: int = 0
+) -> Comparison | None:
     """A prediction beside the ground truth; None if it is missing or empty.
 
     Raises:
@@ -196,14 +205,15 @@ def check_groundtruth(folder: Path, scenes: Iterable[str]) -> None:
         )
 
 
-def groundtruth_digest(folder: Path) -> str:
-    """A hash of all files of the published layout in a folder, wherever it lies.
+def groundtruth_digest(folder: Path, scenes: Iterable[str] = ()) -> str:
+    """A hash of these scenes' files of the published layout (none given: of all), wherever they
+    lie.
 
     Raises:
-        TFLabError: there is no scene in it, or a file cannot be read.
+        TFLabError: there is no scene in the folder, or a file cannot be read.
     """
-    digest = hashlib.sha256()
-    for path in (folder / name / file for name in scene_names(folder) for file in FILES):
+    digest, names = hashlib.sha256(), sorted(scenes) or scene_names(folder)
+    for path in (folder / name / file for name in names for file in FILES):
         try:
             with path.open("rb") as file:
                 content = hashlib.file_digest(file, "sha256").hexdigest()

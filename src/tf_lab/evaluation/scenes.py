@@ -10,19 +10,20 @@ from typing import Any
 
 import numpy as np
 import torch
+import trimesh
 
 from tf_lab.data.groundtruth import DepthMaps, GroundTruth
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
-from tf_lab.evaluation.protocol import PROTOCOL
+from tf_lab.evaluation.protocol import PROTOCOL, PublishedGroundTruth, read_groundtruth
 from tf_lab.evaluation.scores import Scores
-from tf_lab.meshes.files import read_mesh, write_mesh
+from tf_lab.meshes.files import write_mesh
 from tf_lab.online.captures import Reconstruction, median_views
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
 from tf_lab.support.files import atomic_path, file_name, write_json
-from tf_lab.support.layout import GROUNDTRUTH_MESH, SCORES, mesh_path, picture_path
+from tf_lab.support.layout import SCORES, mesh_path, picture_path
 from tf_lab.support.records import read_record, record
 
 KEPT = "scenes"  # of a run that is not finished: what there is of its scenes
@@ -38,14 +39,37 @@ class SceneResult:
     details: dict[str, Any]
 
 
+def scene_truth(scene: Scene, given: Path | None = None) -> PublishedGroundTruth:
+    """What a test scene is scored by, in its world.
+
+    Args:
+        scene: the scene.
+        given: a folder in the published layout, in the worlds of the captures; None: the scene's
+            own ground truth.
+
+    Raises:
+        TFLabError: a file is missing, damaged or of a wrong shape.
+    """
+    if given is None:
+        return read_groundtruth(scene.groundtruth)
+    return read_groundtruth(given / scene.name).moved(np.linalg.inv(scene.source_T_world))
+
+
 def save_scene(
-    result: Reconstruction, scene: Scene, scores: Scores, seconds: float, run: Path, code: str
+    result: Reconstruction,
+    scene: Scene,
+    truth: trimesh.Trimesh,
+    scores: Scores,
+    seconds: float,
+    run: Path,
+    code: str,
 ) -> SceneResult:
     """Write a scene's mesh and picture to a run, and, until that is finished, what it returns.
 
     Args:
         result: the reconstruction.
         scene: with ground truth.
+        truth: the mesh that it is scored by.
         scores: of the reconstruction.
         seconds: that it took.
         run: the run's directory.
@@ -53,7 +77,7 @@ def save_scene(
     """
     with atomic_path(mesh_path(run, scene.name)) as temporary:
         write_mesh(result.mesh, temporary)
-    draw(result, scene, picture_path(run, scene.name), scores["fscore"])
+    draw(result, scene, truth, picture_path(run, scene.name), scores["fscore"])
     details = {
         "seconds": round(seconds, 2),
         "keyframes": len(result.keyframes),
@@ -90,10 +114,11 @@ def surface_views(online: Reconstructor, scene: Scene, keyframes: Sequence[int])
     return view_sets(level, rows, DepthMaps(scene, keyframes))
 
 
-def draw(result: Reconstruction, scene: Scene, path: Path, fscore: float) -> None:
+def draw(
+    result: Reconstruction, scene: Scene, truth: trimesh.Trimesh, path: Path, fscore: float
+) -> None:
     """Input frames, prediction beside ground truth, and the error, as one PNG."""
     chosen = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
-    truth = read_mesh(scene.groundtruth / GROUNDTRUTH_MESH)
     compare(result.mesh, truth, [scene.image(i) for i in chosen], path, scene.name, fscore)
 
 

@@ -63,12 +63,16 @@ def groundtruth_mesh(run: Run, scene: str) -> trimesh.Trimesh | None:
     """The ground truth of a run's test scene, if it is on this machine."""
     if not run.config.tested.root:  # a kept copy
         return None
-    from tf_lab.data.sources.source import open_source  # imports torch
+    from tf_lab.data.scene import Scene  # they import torch
+    from tf_lab.data.sources.source import open_source
+    from tf_lab.evaluation.scenes import scene_truth
 
     digest = run.makers[0].get("scenes", {}).get(scene)
     directory = open_source(run.config.tested).directory(scene, digest)
-    path = directory / "groundtruth" / GROUNDTRUTH_MESH
-    return read_mesh(path) if path.exists() else None
+    if not (directory / "groundtruth" / GROUNDTRUTH_MESH).exists():
+        return None
+    given = run.config.groundtruth
+    return scene_truth(Scene(directory), None if given is None else Path(given)).mesh
 
 
 def draw_scene(

@@ -17,9 +17,15 @@ from torch.utils.data import DataLoader
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.collection import scene_means
-from tf_lab.evaluation.protocol import compared, read_groundtruth
+from tf_lab.evaluation.protocol import PublishedGroundTruth, compared, read_groundtruth
 from tf_lab.evaluation.registry import METRICS, with_paper
-from tf_lab.evaluation.scenes import SceneResult, kept_scene, save_scene, write_metrics
+from tf_lab.evaluation.scenes import (
+    SceneResult,
+    kept_scene,
+    save_scene,
+    scene_truth,
+    write_metrics,
+)
 from tf_lab.evaluation.scores import Scores
 from tf_lab.experiments.provenance import code_version
 from tf_lab.network.network import Network
@@ -91,7 +97,7 @@ class SceneEvaluation(L.LightningModule):
         """Reconstruct and score a scene of the val split."""
         if directory is not None:
             scene = Scene(directory)
-            self._score(scene, scene.groundtruth, color=False)
+            self._score(scene, read_groundtruth(scene.groundtruth), color=False)
 
     def on_validation_epoch_end(self) -> None:
         """Log the means over all scenes as ``val/<metric>``."""
@@ -117,8 +123,9 @@ class SceneEvaluation(L.LightningModule):
             )
         kept = kept_scene(self.run, scene.name, code)
         if kept is None:
-            result, scores, seconds = self._score(scene, self._truth_of(scene))
-            kept = save_scene(result, scene, scores, seconds, self.run, code)
+            truth = scene_truth(scene, self.groundtruth)
+            result, scores, seconds = self._score(scene, truth)
+            kept = save_scene(result, scene, truth.mesh, scores, seconds, self.run, code)
         else:
             for name in self.names:
                 self.scores[name].update(kept.scores[name])
@@ -139,12 +146,8 @@ class SceneEvaluation(L.LightningModule):
             print(f"the median surface point of a test scene is seen by {seen:.0f} keyframes")
             write_metrics(self.run, self.label, mean, results)
 
-    def _truth_of(self, scene: Scene) -> Path:
-        """The folder of the ground truth that a test scene is scored by."""
-        return scene.groundtruth if self.groundtruth is None else self.groundtruth / scene.name
-
     def _score(
-        self, scene: Scene, truth: Path, color: bool = True
+        self, scene: Scene, truth: PublishedGroundTruth, color: bool = True
     ) -> tuple[Reconstruction, Scores, float]:
         """A scene's reconstruction, its scores, and the seconds that reconstructing it took."""
 
@@ -155,11 +158,7 @@ class SceneEvaluation(L.LightningModule):
         start = time.time()
         result = reconstruct(self.network, scene, self.capture_settings, show, color)
         seconds = time.time() - start
-        mesh = result.mesh
-        if truth != scene.groundtruth:  # which is in the scene's world, others are in the source's
-            mesh = mesh.copy().apply_transform(scene.source_T_world)
-        found = compared(mesh, read_groundtruth(truth))
-        return result, in_order(self.scores(found), self.names), seconds
+        return result, in_order(self.scores(compared(result.mesh, truth)), self.names), seconds
 
     def _means(self) -> Scores:
         """The means over the scenes of all processes; the next epoch starts anew."""
