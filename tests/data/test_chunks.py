@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 from helpers import box_room
 from helpers.small_shards import same
 from tf_lab.data.chunk_sampler import ChunkSampler, ChunkScene, ChunkStream, choose_frames
-from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, make_batch
+from tf_lab.data.chunks import COARSE_GRID, FINE_GRID, ChunkBatch, _disturbed, make_batch
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import CameraNoise, ChunkSettings
@@ -234,6 +234,15 @@ def test_cameras_are_made_wrong_and_nothing_else(box_scene: Path) -> None:
     assert (off > 0).all() and (off < 0.3).all()
     assert (wrong.K != right.K).any(dim=(1, 2, 3)).all()
     assert same(replace(wrong, K=right.K, world_T_cam=right.world_T_cam), right)
+
+
+def test_some_cameras_are_nearly_right() -> None:
+    """Of normal shifts some 0.5 % are below a third of their deviation; of shares of such, many."""
+    poses, K = torch.eye(4).double().expand(1, 4, 4), torch.eye(3).double().expand(1, 3, 3)
+    rng, noise = np.random.default_rng(0), CameraNoise(translation=0.05)
+    off = [float(_disturbed(K, poses, noise, rng)[1][0, :3, 3].norm()) for _ in range(500)]
+    assert 0.1 < np.mean(np.array(off) < 0.05 / 3) < 0.4
+    assert max(off) > 0.1
 
 
 def test_chunks_are_drawn_by_weight(box_scene: Path) -> None:

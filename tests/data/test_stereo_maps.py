@@ -72,6 +72,15 @@ def test_chunks_hold_the_maps_of_their_images(scene: Scene) -> None:
     assert make_batch([plain], SMALL, 0, 0, 0).stereo is None
 
 
+def test_chunks_of_wrong_cameras_hold_the_maps_of_wrong_cameras(scene: Scene) -> None:
+    write_stereo(scene.directory, WRONG)
+    settings = replace(SMALL, camera_noise=WRONG)
+    record = ChunkSampler([scene.directory], settings, 0.3, 5.0, stereo=True).record(0, 0)
+    frames = [scene.frames.index(name) for name in record.frames]
+    assert record.stereo is not None
+    np.testing.assert_array_equal(record.stereo.numpy(), read_stereo(scene, WRONG)[frames])
+
+
 def _same_image(record: ChunkRecord, image: torch.Tensor) -> list[bool]:
     found = []
     for i in range(len(record.images)):

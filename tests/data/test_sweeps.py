@@ -59,10 +59,12 @@ def test_what_is_validated_is_what_a_frame_gets_online(box_scene: Path) -> None:
     found = every_sweep(scene, frames, frames[1:], settings)
     views = [small_view(scene.image(i), scene.K[i], scene.world_T_cam[i], 80) for i in frames]
     inverse = torch.from_numpy(settings.inverse).float()
-    online = [depth_of(views, i, settings) for i in frames[1:]]
-    online = [maps for maps in online if maps.any()]
+    online = {i: depth_of(views, i, settings) for i in frames[1:]}
+    online = {i: maps for i, maps in online.items() if maps.any()}
     assert len(found) == len(online) > 0
-    for batch, maps in zip(found, online, strict=True):
+    for batch, (i, maps) in zip(found, online.items(), strict=True):
+        true = Resized(scene, (maps.shape[2], maps.shape[1])).depth(i)
+        np.testing.assert_array_equal(batch.depth[0].numpy(), true)
         with torch.inference_mode():
             depth, confidence = read_depth(shipped_regularizer()(batch.scores), inverse)
         np.testing.assert_allclose(depth[0].numpy(), maps[0], rtol=1e-4)

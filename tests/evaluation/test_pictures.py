@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,7 +7,8 @@ import trimesh
 from PIL import Image
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.pictures import compare
+from tf_lab.evaluation import pictures
+from tf_lab.evaluation.pictures import compare, error_colors
 from tf_lab.meshes.raycast import CLAY, cast, overview_camera, render_mesh
 
 
@@ -154,6 +156,40 @@ def test_vertex_colors_show() -> None:
 def test_an_empty_mesh_is_a_white_picture() -> None:
     image = render_mesh(trimesh.Trimesh(), *frontal((40, 30)), (40, 30), ceiling=1.0)
     assert image.shape == (30, 40, 3) and (image == 255).all()
+
+
+def test_the_error_is_of_the_prediction_to_the_ground_truth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A floor 8 cm too low above a true one: the second panel is the truth, the third of 8 cm."""
+    drawn: list[Any] = []
+    monkeypatch.setattr(pictures, "_compare_figure", lambda _, panels, title: drawn.append(panels))
+    monkeypatch.setattr(pictures, "write_figure", lambda figure, path: None)
+    truth, size = furnished_room(), (160, 120)
+    moved = truth.copy()
+    moved.apply_translation((0, 0, 0.08))
+    half = truth.submesh([np.arange(0, len(truth.faces), 2)], append=True)
+    for prediction in (truth, moved, half):
+        compare(prediction, truth, [], tmp_path / "a.png", "room", size=size)
+    exact, off, part = drawn
+    assert [label for label, _ in exact] == [
+        *("Prediction", "Ground truth", "Distance to ground truth")
+    ]
+    for panels in (off, part):
+        assert np.array_equal(panels[1][1], exact[1][1])
+        assert not np.array_equal(panels[0][1], exact[0][1])
+
+    def hue(panel: np.ndarray) -> np.ndarray:
+        """The mean colour of what is drawn, whatever its shade."""
+        shown = panel[(panel < 250).any(-1)].astype(float)
+        return np.median(shown / shown.max(-1, keepdims=True), axis=0)
+
+    colors = error_colors(np.array([0.0, 0.08])) / 255
+    right, wrong = (color / color.max() for color in colors)
+    np.testing.assert_allclose(hue(exact[2][1]), right, atol=0.1)
+    np.testing.assert_allclose(hue(part[2][1]), right, atol=0.1)
+    assert np.abs(hue(off[2][1]) - right).max() > 0.2
+    assert np.abs(right - wrong).max() > 0.2
 
 
 def test_compare_writes_one_picture(tmp_path: Path) -> None:

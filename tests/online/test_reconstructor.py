@@ -29,12 +29,14 @@ from helpers.online.scenes import (
     trained_to_match,
     volumes_of,
 )
+from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid
 from tf_lab.network.chunks import Views
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import ResidualBlock3d
+from tf_lab.online import captures
 from tf_lab.online.decode import Decoder
 from tf_lab.online.lattice import sparse
 from tf_lab.online.lattice.level import Level
@@ -54,6 +56,35 @@ def clear_points(grid: VoxelGrid, scene: Scene, count: int) -> np.ndarray:
     clear = np.stack([clearance(points, scene, f) for f in FRAMES])
     usable = (np.abs(clear).min(0) > 1e-4) & ((clear.max(0) > 0) | (np.arange(len(every)) % 9 == 0))
     return np.random.default_rng(0).permutation(every[usable])[:count]
+
+
+def test_a_mesh_is_painted_by_images_with_their_own_cameras(
+    tiny_network: Factory, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Any] = []
+    K = scene.K.copy()
+    K[:, 0, 0] += np.arange(len(K))  # each camera another
+    monkeypatch.setattr(scene, "K", K)
+    monkeypatch.setattr("tf_lab.online.reconstructor.painters", lambda held, count: [1, 3])
+    monkeypatch.setattr(
+        "tf_lab.online.reconstructor.color_vertices", lambda mesh, *views: given.extend(views)
+    )
+    reconstruct(balanced(tiny_network(), scene), scene).mesh()
+    images, K, world_T_cam = given
+    for row, i in enumerate([FRAMES[1], FRAMES[3]]):
+        assert np.array_equal(images[row].permute(1, 2, 0), scene.image(i))
+        np.testing.assert_allclose(K[row], scene.K[i], rtol=1e-6)
+        np.testing.assert_allclose(world_T_cam[row], scene.world_T_cam[i], atol=1e-6)
+
+
+def test_keyframes_are_as_far_apart_as_told(tiny_network: Factory, scene: Scene) -> None:
+    """The cameras of the room are farther apart than the default."""
+    network = tiny_network()
+    for distance in (0.1, 1.5):
+        settings = ReconstructionSettings(keyframe_distance=distance)
+        found = captures.reconstruct(network, scene, settings, color=False)
+        assert found.keyframes == select_keyframes(scene.world_T_cam, distance)
+    assert len(found.keyframes) < len(scene)
 
 
 def test_a_reconstruction_is_freed_when_nobody_holds_it(

@@ -1,6 +1,7 @@
 """The loss of what reads depth from stereo's scores: against its definition, pixel by pixel."""
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ import torch
 from tf_lab.data.sweeps import SweepBatch
 from tf_lab.stereo.depth import StereoSettings
 from tf_lab.stereo.regularizer import Regularizer
-from tf_lab.training.depth import DISTANCE_WEIGHT, DepthTraining, depth_loss
+from tf_lab.training.depth import DISTANCE_WEIGHT, WITHIN, DepthTraining, depth_loss
 
 FEW = StereoSettings(planes=8)
 
@@ -61,6 +62,48 @@ def test_one_batch_can_be_learnt_by_heart() -> None:
         adam.step()
         losses.append(loss.item())
     assert losses[-1] < 0.4 * losses[0]
+
+
+class Sure(torch.nn.Module):
+    """Says the plane of the highest score, without doubt."""
+
+    def forward(self, scores: torch.Tensor) -> torch.Tensor:
+        return 200 * scores
+
+
+def test_scores_are_shares_of_the_known_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of errors of 0, 3, 7, 15 and 40 cm, and of a pixel beyond the planes."""
+    settings = StereoSettings(planes=64)
+    inverse = torch.from_numpy(settings.inverse).float()
+    planes = torch.full((6,), 20)
+    truth = 1 / inverse[planes] + torch.tensor([0.0, 0.03, -0.07, 0.15, 0.4, 50.0])
+    scores = torch.nn.functional.one_hot(planes, 64).T.reshape(1, 64, 1, 6).float()
+    module = DepthTraining(Regularizer(), settings, 1e-3, 1, ["val"])
+    module.regularizer = Sure()  # type: ignore[assignment]
+    logged: dict[str, torch.Tensor] = {}
+    monkeypatch.setattr(module, "log_dict", lambda values, **_: logged.update(values))
+    module.validation_step(SweepBatch(scores, truth.view(1, 1, 6)), 0)
+    assert WITHIN == {"5cm": 0.05, "10cm": 0.1}
+    assert logged["val/within_5cm"] == pytest.approx(2 / 5)
+    assert logged["val/within_10cm"] == pytest.approx(3 / 5)
+    assert logged["val/raw_within_5cm"] == pytest.approx(2 / 5)
+    assert logged["val/median"] == pytest.approx(0.07, abs=1e-4)
+    assert logged["val/confidence"] == pytest.approx(1, abs=1e-4)
+
+
+def test_the_rate_warms_up_and_falls_to_zero() -> None:
+    module = DepthTraining(Regularizer(), FEW, 2e-3, 400, ["val"])
+    found: Any = module.configure_optimizers()
+    optimizer, schedule = found["optimizer"], found["lr_scheduler"]["scheduler"]
+    rates = []
+    for _ in range(401):
+        rates.append(optimizer.param_groups[0]["lr"])
+        optimizer.step()
+        schedule.step()
+    assert rates[0] == pytest.approx(2e-3 / 50, rel=1e-3)
+    assert rates[100] == pytest.approx(2e-3 * (1 + math.cos(math.pi / 4)) / 2)
+    assert rates[200] == pytest.approx(1e-3)
+    assert rates[400] == pytest.approx(0, abs=1e-9)
 
 
 def test_a_frame_without_depth_counts_for_no_score(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,7 @@ from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, scene_
 
 Evaluate = Callable[..., tuple[SceneEvaluation, Path]]
 MORE = [NormalsSettings()]
+SETTINGS = ReconstructionSettings(views=3, threshold=0.4, select="random")
 
 
 class Shared:
@@ -83,6 +84,7 @@ def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]
         progress: Callable[[int, int], None],
         color: bool,
     ) -> Reconstruction:
+        assert settings is SETTINGS
         for done in (1, 2):
             progress(done, 2)
         return Reconstruction(prediction(scene), [0, 1], [f"by {os.getpid()}"])
@@ -95,8 +97,7 @@ def evaluate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scenes: list[Path]
         name: str, count: int, groundtruth: Path | None = None, **devices: Any
     ) -> tuple[SceneEvaluation, Path]:
         network: Any = torch.nn.Identity()
-        settings, to = ReconstructionSettings(), tmp_path / name
-        module = SceneEvaluation(network, settings, MORE, to, "Ours", groundtruth)
+        module = SceneEvaluation(network, SETTINGS, MORE, tmp_path / name, "Ours", groundtruth)
         evaluate_network(module, scenes[:count], accelerator="cpu", **devices)
         return module, tmp_path / name
 
