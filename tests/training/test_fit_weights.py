@@ -11,9 +11,9 @@ from safetensors import safe_open
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from tf_lab.commands.fit_weights import fit_weights
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.training.fit import FitSettings
+from tf_lab.training.fit_weights import fit_weights
 
 CPU = TrainerSettings(accelerator="cpu", workers=0)
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import lightning as L
 
-from tf_lab.commands.fit_weights import fit_weights
 from tf_lab.config.build import initialise_encoder
 from tf_lab.config.schema import PretrainConfig
 from tf_lab.config.stored import portable_config
@@ -33,8 +32,9 @@ from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
 from tf_lab.training.fit import FitSettings
+from tf_lab.training.fit_weights import fit_weights
 from tf_lab.training.initial import with_encoder_digest
-from tf_lab.training.matching import Matching
+from tf_lab.training.pretrain_encoder import Matching
 
 VALIDATION = 20  # batches
 CLIP = 1.0  # largest gradient norm

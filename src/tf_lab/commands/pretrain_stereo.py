@@ -8,13 +8,12 @@ from pathlib import Path
 import lightning as L
 import numpy as np
 
-from tf_lab.commands.fit_weights import fit_weights
 from tf_lab.config.schema import PretrainStereoConfig
 from tf_lab.config.stored import portable_config
 from tf_lab.data.keyframes import select_keyframes
+from tf_lab.data.plane_sweeps import SweepBatch, SweepDraws, SweepStream, every_sweep
 from tf_lab.data.readers import open_capture
 from tf_lab.data.sources.source import open_source
-from tf_lab.data.sweeps import SweepBatch, SweepDraws, SweepStream, every_sweep
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.provenance import provenance
@@ -23,8 +22,9 @@ from tf_lab.stereo.regularizer import Regularizer
 from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
-from tf_lab.training.depth import DepthTraining
 from tf_lab.training.fit import FitSettings
+from tf_lab.training.fit_weights import fit_weights
+from tf_lab.training.pretrain_stereo import DepthTraining
 
 MOST = 60  # frames of a capture that are validated on
 CLIP = 1.0  # largest gradient norm

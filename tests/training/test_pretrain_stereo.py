@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import torch
 
-from tf_lab.data.sweeps import SweepBatch
+from tf_lab.data.plane_sweeps import SweepBatch
 from tf_lab.stereo.depth import StereoSettings
 from tf_lab.stereo.regularizer import Regularizer
-from tf_lab.training.depth import DISTANCE_WEIGHT, WITHIN, DepthTraining, depth_loss
+from tf_lab.training.pretrain_stereo import DISTANCE_WEIGHT, WITHIN, DepthTraining, depth_loss
 
 FEW = StereoSettings(planes=8)
 

@@ -10,7 +10,7 @@ import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
 
-from tf_lab.data.sweeps import SweepBatch
+from tf_lab.data.plane_sweeps import SweepBatch
 from tf_lab.stereo.depth import StereoSettings
 from tf_lab.stereo.regularizer import Regularizer, read_depth
 from tf_lab.training.schedule import warm_cosine

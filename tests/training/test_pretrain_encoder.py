@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from tf_lab.network.encoders.resnet import ResNet
-from tf_lab.training.matching import APART, Matching, matching_loss
+from tf_lab.training.pretrain_encoder import APART, Matching, matching_loss
 
 SIZE = (8, 6)  # width, height of the images
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from tf_lab.data.plane_sweeps import SweepBatch, SweepDraws, SweepStream, every_sweep
 from tf_lab.data.resize import Resized
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import CameraNoise, PhotometricSettings
-from tf_lab.data.sweeps import SweepBatch, SweepDraws, SweepStream, every_sweep
 from tf_lab.errors import TFLabError
 from tf_lab.stereo.depth import StereoSettings, depth_of, small_view
 from tf_lab.stereo.regularizer import read_depth, shipped_regularizer
