@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 from helpers.tiny_jobs import TINY, Result, call, tiny_config, told
 from tf_lab.commands.train import identified
 from tf_lab.config.compose import compose_config
+from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import training_directory
 from tf_lab.network.checkpoint import load_network, save_network, shipped_checkpoint
 from tf_lab.support.headers import read_info
@@ -80,6 +81,21 @@ def test_more_steps_of_a_schedule_that_ended(train: Train, tmp_path: Path) -> No
     assert different(weights(longer), weights(short)) != []
     again = train(*common, "optimizer.steps=20", f"init={state}")
     assert f"reusing the identical finished training {longer.path('training')}" in again.out
+
+
+def test_on_other_devices_it_begins_anew_and_says_so(train: Train, tmp_path: Path) -> None:
+    common = (NO_TEST, f"output={tmp_path}")
+    first = train(*common)
+    first_of = first.path("training")
+    assert "note:" not in first.out
+    for word in ("trainer.precision=bf16-mixed", "+trainer.others.gradient_clip_algorithm=value"):
+        other = train(*common, word)
+        assert other.status == 0 and "going on" not in other.out
+        (note,) = (n for n in other.out.splitlines() if n.startswith(f"note: {first_of} is "))
+        assert " is this training with trainer." in note
+        assert note.endswith(", at step 5 of 5: with the same setting it is used")
+    assert "note:" not in train(*common, "seed=1").out
+    assert "note:" not in train(*common, "trainer.workers=1").out  # which is the same
 
 
 def test_from_the_weights_of_a_checkpoint(train: Train, checkpoint: Path, tmp_path: Path) -> None:
@@ -214,6 +230,9 @@ def test_an_encoder_out_of_a_checkpoint(tmp_path: Path) -> None:
     theirs = load_network(shipped_checkpoint())[0].encoder.state_dict()
     torch.save(theirs, alone := tmp_path / "alone.pth")
     directories = set()
+    misfit = compose_config("train", "data.size=1", "encoder.weights=shipped")
+    with pytest.raises(TFLabError, match="is of model=tiny encoder=efficientnet_lite0"):
+        make_network(misfit)
     for source in ("shipped", shipped_checkpoint(), alone):
         weights = f"encoder.weights={source}"
         config = compose_config("train", "data.size=1", "encoder=efficientnet_lite0", weights)

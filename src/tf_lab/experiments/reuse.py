@@ -22,6 +22,7 @@ from tf_lab.experiments.provenance import (
 from tf_lab.support.headers import read_info
 from tf_lab.support.layout import CONFIG, LAST, ORIGIN, WEIGHTS
 from tf_lab.support.records import read_record, record
+from tf_lab.support.settings import shaping
 
 
 def origin_of(directory: Path) -> Origin:
@@ -74,7 +75,8 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
     """The last state of the same training of fewer steps, if this one would pass through it.
 
     That is so unless the schedule depends on the number of steps: then a note says how to go on
-    from that state nevertheless, which makes another training.
+    from that state nevertheless, which makes another training. Another note names a state of this
+    training on other devices or in another precision, which it does not go on from.
 
     Args:
         config: of a training.
@@ -85,9 +87,16 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
     for path in directory.parent.glob(f"{beside}-*/{LAST}"):
         try:
             other = read_config(path.parent / CONFIG)
+            step = int(saved_state(path)["global_step"])
             fewer = other.optimizer.steps < steps
             if fewer and _but_for_steps(other) == _but_for_steps(config):
-                found.append((int(saved_state(path)["global_step"]), path))
+                found.append((step, path))
+            elif words := _computed_otherwise(other, config):
+                more = f"; init={path} goes on from its state" if step < steps else ""
+                print(
+                    f"note: {path.parent} is this training with {words}, at step {step} of {steps}:"
+                    f" with the same setting it is used{more}"
+                )
         except Exception:  # any damage
             continue
     step, last = max(found, default=(0, None))
@@ -98,6 +107,16 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
         f"those; this one starts anew. To go on from its step {step}: init={last}"
     )
     return None
+
+
+def _computed_otherwise(other: TrainConfig, config: TrainConfig) -> str:
+    """How the trainer of the same training is set otherwise, in words; nothing if it is another."""
+    theirs, ours = shaping(other.trainer, "weights"), shaping(config.trainer, "weights")
+    alike = replace(other, trainer=config.trainer)
+    if theirs == ours or training_identity(alike) != training_identity(config):
+        return ""
+    names = [name for name in {**theirs, **ours} if theirs.get(name) != ours.get(name)]
+    return " ".join(f"trainer.{name}={theirs.get(name)}" for name in names)
 
 
 def _but_for_steps(config: TrainConfig) -> str:

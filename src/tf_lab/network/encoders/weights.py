@@ -125,18 +125,21 @@ def load_encoder_weights(encoder: Encoder, source: str, ours: Path) -> None:
         state = read_encoder(ours)
     state = encoder.trunk_of(state)
     own = encoder.state_dict()
+    cure = "use weights of the same encoder, or encoder.weights=none"
+    if source == SHIPPED:
+        cure = "the shipped one is of model=tiny encoder=efficientnet_lite0"
     unknown = [k for k, v in state.items() if k not in own or own[k].shape != v.shape]
     if unknown:
         raise TFLabError(
             f"encoder.weights={source}: {len(unknown)} tensors do not fit this encoder "
-            f"(first: {unknown[0]}); use weights of the same encoder, or encoder.weights=none"
+            f"(first: {unknown[0]}); {cure}"
         )
     missing = [k for k in own if k not in state and not k.startswith(PYRAMID)]  # which is ours
     missing = [k for k in missing if not k.endswith("num_batches_tracked")]
     if missing:
         raise TFLabError(
             f"encoder.weights={source}: {len(missing)} tensors of this encoder are missing "
-            f"(first: {missing[0]}); use weights of the same encoder, or encoder.weights=none"
+            f"(first: {missing[0]}); {cure}"
         )
     encoder.load_state_dict(state, strict=False)
 
