@@ -9,7 +9,13 @@ import torch.distributed as dist
 from torch import Tensor
 
 from tf_lab.network.chunks import Predictions
-from tf_lab.training.losses import losses, mask_loss, occupancy_loss, sdf_loss
+from tf_lab.training.losses import (
+    losses,
+    mask_loss,
+    mean_over_processes,
+    occupancy_loss,
+    sdf_loss,
+)
 
 NAN = float("nan")
 # cross entropy of a logit: log(1 + exp(-x)) if true, log(1 + exp(x)) if false
@@ -134,3 +140,13 @@ def test_the_mean_over_two_processes_is_the_loss_of_all(monkeypatch: pytest.Monk
             halves = [loss(*part).item() for part in zip(*parts, strict=True)]
         assert sum(halves) / 2 == pytest.approx(expected)
         assert halves[0] != pytest.approx(halves[1])
+
+
+def test_what_is_logged_is_the_mean_over_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours = {"loss": torch.tensor(3.0), "sdf": torch.tensor(1.0)}
+    assert mean_over_processes(ours) == ours
+    monkeypatch.setattr(dist, "is_initialized", lambda: True)
+    monkeypatch.setattr(dist, "get_world_size", lambda: 2)
+    monkeypatch.setattr(dist, "all_reduce", lambda found: found.add_(torch.tensor([5.0, 0.0])))
+    assert mean_over_processes(ours) == {"loss": torch.tensor(4.0), "sdf": torch.tensor(0.5)}
+    assert ours["loss"] == 3
