@@ -116,7 +116,7 @@ def _computed_otherwise(other: TrainConfig, config: TrainConfig) -> str:
     if theirs == ours or training_identity(alike) != training_identity(config):
         return ""
     names = [name for name in {**theirs, **ours} if theirs.get(name) != ours.get(name)]
-    return " ".join(f"trainer.{name}={theirs.get(name)}" for name in names)
+    return " ".join(f"trainer.{name}={getattr(other.trainer, name)}" for name in names)
 
 
 def _but_for_steps(config: TrainConfig) -> str:
