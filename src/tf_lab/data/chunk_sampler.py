@@ -50,7 +50,7 @@ class ChunkScene:
     def __init__(self, directory: Path) -> None:
         self.scene = Scene(directory)
         self.truth = GroundTruth(self.scene.groundtruth)
-        self._stereo: np.ndarray | None = None
+        self._stereo: dict[CameraNoise, np.ndarray] = {}
         self.K = torch.from_numpy(self.scene.K).float()
         self.world_T_cam = torch.from_numpy(self.scene.world_T_cam)
         self.cam_T_world = invert_pose(self.world_T_cam)
@@ -71,9 +71,9 @@ class ChunkScene:
 
     def stereo(self, noise: CameraNoise, frames: np.ndarray) -> Tensor:
         """Depth maps float16 [V, 2, h, w] of frames [V]. Raises TFLabError: there are none."""
-        if self._stereo is None:
-            self._stereo = read_stereo(self.scene, noise)
-        return torch.from_numpy(self._stereo[frames])
+        if noise not in self._stereo:
+            self._stereo[noise] = read_stereo(self.scene, noise)
+        return torch.from_numpy(self._stereo[noise][frames])
 
     def coverage(self, world_T_chunk: Tensor, near: float, far: float) -> np.ndarray:
         """The share [N] of a chunk that each frame sees, between two depths in metres."""
