@@ -111,12 +111,16 @@ def test_help_names_the_parts_and_their_settings(results: dict[str, Result]) -> 
 
 
 def test_settings_decide_what_is_trained(results: dict[str, Result]) -> None:
-    """A policy and a metric reuse the training; other data is another."""
+    """A policy and a metric reuse the training; a policy that is trained with, and other data, is
+    another.
+    """
     trained = {c: r.path("training") for c, r in results.items() if "training:" in r.out}
     first = trained["tf_lab.train fusion=recurrent"]
     assert trained["tf_lab.train fusion=recurrent select=spread"] == first
     assert trained["tf_lab.train fusion=recurrent select=spread metrics=recall2"] == first
-    assert len(set(trained.values())) == 3
+    by_spread = "tf_lab.train fusion=recurrent select=spread +training.rules.spread=1"
+    assert trained[by_spread] != first
+    assert len(set(trained.values())) == 4
 
 
 def test_the_metric_is_in_the_row(results: dict[str, Result], home: Path) -> None:
