@@ -100,8 +100,8 @@ class TrainConfig(InferenceSettings, NetworkSettings):
     )
     init_encoder: str | None = setting(
         None,
-        "an encoder's file in place of the encoder of init's weights; `pretrain like=` makes one "
-        "that they understand",
+        "an encoder's file, or a checkpoint's, in place of the encoder of init's weights; "
+        "`pretrain like=` makes one that they understand",
         kind="path",
     )
     output: str = setting("outputs", "trainings/ and runs/ are made in it", kind="path")

@@ -116,8 +116,8 @@ def shipped_checkpoint() -> Path:
 def our_encoder(encoder: EncoderSettings, model: str) -> Path:
     """The file in the package that has our weights of an encoder, if they come with it.
 
-    The checkpoint's ("shipped"), or pre-trained ("rooms"): a ResNet has its size from the model,
-    any other encoder is the same for all.
+    The checkpoint's ("shipped"), or pre-trained ("rooms"): a ResNet's by the model, which gives it
+    its size; of any other encoder there is one file, with maps of the width of ``model=tiny``.
     """
     if encoder.weights == SHIPPED:
         return shipped_checkpoint()
