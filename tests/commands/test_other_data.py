@@ -21,6 +21,7 @@ from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.identity import run_directory, training_directory
+from tf_lab.reporting.results import read_run
 from tf_lab.support.headers import read_info
 
 TESTED = ("data.root", "data.test", "optimizer.steps")
@@ -256,6 +257,9 @@ def test_a_test_on_other_data(root: Path, tmp_path: Path) -> None:
     taken = read_info(by_init.path("training") / "model.safetensors")["training"]
     assert taken["init"]["scenes"] == origin["training"]["scenes"]
     assert taken["init"]["command"] == origin["training"]["command"]
+    tested, trained = (read_run(r.path("run")).settings for r in (by_init, first))
+    steps = "optimizer.steps"  # which network is tested, the report says as the training would
+    assert (tested[steps], tested[f"init.{steps}"]) == (0, trained[steps])
 
     own = call("train", *arguments(root), output)  # the same training on its own test scene
     assert "reusing the identical finished training" in own.out

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.made_up_runs import ROWS, SCENES, write_run, write_study
+from tf_lab.config.compose import compose_config
+from tf_lab.config.stored import portable_config
 from tf_lab.errors import TFLabError
 from tf_lab.reporting.report import describe
 from tf_lab.reporting.results import keep_run, read_run
@@ -165,6 +167,24 @@ def test_a_network_that_is_tested_again_counts_again(tmp_path: Path) -> None:
     study, remarks = open_study([tmp_path])
     np.testing.assert_allclose(study.scores("Ours"), [[0.7]])
     assert all("counts, the older" in remark for remark in remarks)
+
+
+def test_networks_of_other_trainings_are_told_apart(tmp_path: Path) -> None:
+    """A network that is only tested says how it was trained; none takes the place of another."""
+    tested = {200: 0.5, 400: 0.9}
+    for steps, score in tested.items():
+        for seed in range(3 if steps == 200 else 1):
+            init = f"optimizer.steps=0 content.init=a{steps + seed}"
+            run = write_run(tmp_path / str(steps), init, seed, [score], written=1e9 + steps)
+            origin = json.loads((run / "run.json").read_text())
+            trained = compose_config("train", f"optimizer.steps={steps}", f"seed={seed}")
+            origin["training"]["init"] = {"config": portable_config(trained)}
+            (run / "run.json").write_text(json.dumps(origin))
+    study, remarks = open_study([tmp_path])
+    np.testing.assert_allclose(study.scores("Ours"), [[0.5]] * 3)
+    assert [other.scores("Ours").tolist() for other in study.others] == [[[0.9]]]
+    (line,) = remarks
+    assert "with init.optimizer.steps 400 (not 200); its scores are in" in line
 
 
 def test_each_seed_may_test_a_network_of_its_own(tmp_path: Path) -> None:

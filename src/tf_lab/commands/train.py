@@ -281,12 +281,14 @@ def _check_seen(config: TrainConfig) -> None:
 
 
 def _init(config: TrainConfig) -> dict[str, Any]:
-    """Where the weights come from that a training starts from, as far as they say."""
+    """Where the weights come from that a training starts from, and its settings, as they say."""
     path = initial_path(config)
     if path is None or initial_state(config):  # which has its own sessions with it
         return {}
-    origin = read_info(path).get("training", {})
-    return {"init": {name: value for name, value in origin.items() if name != "config"}}
+    origin = dict(read_info(path).get("training", {}))
+    if "init" in origin:  # of what that one started from, where it comes from is enough
+        origin["init"] = {k: v for k, v in origin["init"].items() if k != "config"}
+    return {"init": origin}
 
 
 def _tested(config: TrainConfig) -> DataSource:

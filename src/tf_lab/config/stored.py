@@ -56,13 +56,22 @@ def read_config(path: Path) -> TrainConfig:
     Raises:
         TFLabError: it is missing, damaged, or of a version that had other settings.
     """
-    values = read_yaml(path, "the settings of a run")
+    return stored_config(read_yaml(path, "the settings of a run"), str(path))
+
+
+def stored_config(values: Any, where: str) -> TrainConfig:
+    """A config from the values that `portable_config` gave, in this version or an older one.
+
+    Raises:
+        TFLabError: they are damaged, or of a version that had other settings; it begins with
+            ``where``.
+    """
     try:
         values = record(dict[str, Any], values)
         return typed(TrainConfig, _as_it_stands(_with_places(upgraded(values))))
     except (OmegaConfBaseException, TFLabError, *_MISTAKES) as error:
         reason = str(error).splitlines()[0]
-        raise TFLabError(f"{path}: has other settings than this version ({reason})") from error
+        raise TFLabError(f"{where}: has other settings than this version ({reason})") from error
 
 
 def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:

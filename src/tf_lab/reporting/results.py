@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tf_lab.config.schema import TrainConfig
-from tf_lab.config.stored import read_config, write_config
+from tf_lab.config.stored import read_config, stored_config, write_config
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import Metrics, Scores, mean_scores
 from tf_lab.experiments import inventory
@@ -114,14 +114,12 @@ def read_run(directory: Path) -> Run:
     cure = _anew(directory / SCORES)
     metrics = read_record(Metrics, directory / SCORES, cure)
     origin = read_record(Origin, directory / ORIGIN, cure)
-    trained, evaluated = training_identity(config), evaluation_identity(config)
-    settings = {key: value for key, value in trained.items() if key not in ROW_SETTINGS}
-    # which stereo there is, the row says with its inputs
-    settings["content"] = {k: v for k, v in settings["content"].items() if k != "stereo"}
-    if config.optimizer.steps == 0:  # a network that is only tested: which one, the row says
-        settings["content"]["init"] = None
-    settings["test"] = {key: value for key, value in evaluated.items() if key not in ROW_SETTINGS}
     training = origin.get("training", Origin())
+    settings = _trained_as(config)
+    if config.optimizer.steps == 0:  # a network that is only tested: one of each seed
+        settings["content"]["init"] = None
+        settings |= _init_settings(training)
+    settings["test"] = _of_any_row(evaluation_identity(config))
     settings["test"]["protocol"] = metrics.protocol
     settings["test"]["scenes"] = sorted(metrics.scenes)
     return Run(
@@ -135,6 +133,29 @@ def read_run(directory: Path) -> Run:
         (directory / SCORES).stat().st_mtime,
         _view_sets(metrics),
     )
+
+
+def _of_any_row(identity: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in identity.items() if key not in ROW_SETTINGS}
+
+
+def _init_settings(training: Origin) -> dict[str, Any]:
+    """How the network that ``init`` names was trained; nothing if that is not known."""
+    try:
+        config = stored_config(training["init"]["config"], "init")
+    except (KeyError, TFLabError):  # of a version that did not keep it, or had other settings
+        return {}
+    settings = _trained_as(config)
+    settings["content"]["init"] = None
+    return {"init": settings}
+
+
+def _trained_as(config: TrainConfig) -> dict[str, Any]:
+    """What shapes the weights of all rows of a study."""
+    settings = _of_any_row(training_identity(config))
+    # which stereo there is, the row says with its inputs
+    settings["content"] = {k: v for k, v in settings["content"].items() if k != "stereo"}
+    return settings
 
 
 def told_apart(scores: Scores, metrics: Mapping[str, Any]) -> Scores:
