@@ -1,7 +1,7 @@
 """A session without a page: frames, mesh, clock, picked point."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -294,6 +294,29 @@ def test_colours(full: Session, scene: Scene) -> None:
     told = finish(full)
     far = np.abs(points[:, 2]) > 0.2
     assert (told.colors[chunk][far] == error_colors(np.array([1.0]))).all()
+
+
+def test_what_lies_between_a_piece_and_its_cameras_hides_it(
+    full: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pieces = full.growth.pieces
+    piece = max(pieces.values(), key=lambda p: len(p.vertices))
+    centers = [pose[:3, 3].numpy() for _, pose in full.growth.reconstructor.frames.poses]
+
+    def painted(at: Sequence[np.ndarray]) -> np.ndarray:
+        """With a small closed box, densely meshed, around each of some points."""
+        box = trimesh.creation.box((0.6, 0.6, 0.6))
+        for _ in range(7):
+            box = box.subdivide()
+        for i, point in enumerate(at):
+            moved = box.copy().apply_translation(point)
+            monkeypatch.setitem(pieces, (1000 + i, 0, 0), moved)
+        return painter("image", full.growth, 1, lambda: None)(piece)
+
+    alone = painted([])
+    assert (alone != 128).any(1).mean() > 0.5
+    assert (painted([np.array([0, 0, 50.0])]) == alone).all()
+    assert (painted(centers) == 128).all(1).mean() > 0.95
 
 
 def test_surface_that_no_frame_sees_has_a_colour(full: Session) -> None:

@@ -19,6 +19,7 @@ from tf_lab.viewer.growth import Growth
 
 FRAMES = 24  # that paint a chunk, evenly chosen of those that see it
 MODES = ("image", "best view", "error", "clay")
+AROUND = 0.1  # metres; what lies so near to a ray may hide its end, for images are coarse
 SPARSE = 3  # every so many of the other chunks' vertices hide what is behind them
 
 
@@ -29,18 +30,31 @@ def by_images(growth: Growth, piece: trimesh.Trimesh) -> np.ndarray:
     if not len(chosen):  # surface reaches a voxel's edge beyond what frames see
         return clay(piece)
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, FRAMES).round().astype(int))]
-    others = [np.asarray(p.vertices)[::SPARSE] for p in growth.pieces.values() if p is not piece]
+    poses = torch.stack([frames.poses[i][1] for i in chosen])
+    between = _between(growth, piece, poses[:, :3, 3].cpu().numpy())
+    others = [np.asarray(other.vertices)[::SPARSE] for other in between]
     painted = piece.copy()
     color_vertices(
         painted,
         [frames.images[i] for i in chosen],
         torch.stack([frames.poses[i][0] for i in chosen]),
-        torch.stack([frames.poses[i][1] for i in chosen]),
+        poses,
         occluders=np.concatenate([np.empty((0, 3)), *others]),
     )
     colors = vertex_colors(painted)
     assert colors is not None
     return colors
+
+
+def _between(growth: Growth, piece: trimesh.Trimesh, centers: np.ndarray) -> list[trimesh.Trimesh]:
+    """The other pieces that may lie between a piece and cameras at ``centers`` [N, 3]."""
+    low = np.minimum(piece.bounds[0], centers.min(0)) - AROUND
+    high = np.maximum(piece.bounds[1], centers.max(0)) + AROUND
+    return [
+        other
+        for other in growth.pieces.values()
+        if other is not piece and (other.bounds[1] > low).all() and (other.bounds[0] < high).all()
+    ]
 
 
 def by_best_view(growth: Growth, piece: trimesh.Trimesh, total: int) -> np.ndarray:
