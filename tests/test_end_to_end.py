@@ -16,11 +16,11 @@ from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import ChunkSettings
 from tf_lab.data.sources.embedded import FLATS, ROOMS, EmbeddedSplit
+from tf_lab.data.visibility import scene_visibility
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
 from tf_lab.network.chunks import Views
 from tf_lab.network.network import Network
-from tf_lab.online.captures import median_views
 from tf_lab.training.losses import losses
 
 
@@ -67,7 +67,7 @@ def test_true_occupancy_gives_the_true_mesh_of_a_flat(
 def test_the_median_point_is_seen_by_many_keyframes(test_room: Scene) -> None:
     """K = 4, 8 and 16 and the choice of views can matter only if there is a choice."""
     keyframes = select_keyframes(test_room.world_T_cam, 0.1)
-    assert median_views(test_room, keyframes, test_room.groundtruth) >= 25
+    assert scene_visibility(test_room, keyframes).median >= 25
 
 
 def test_one_chunk_overfits(box_scene: Path, tiny_network: Callable[..., Network]) -> None:

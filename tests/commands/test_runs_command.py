@@ -45,12 +45,8 @@ def unfinished(output: Path, name: str) -> Path:
 def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     names = ("one", "two", "one")
     sessions = [{"commit": n * 13, "code": n, "seconds": 90.0} for n in names]
-    for state, callback, key in (
-        ("half", "TrainingSessions", "sessions"),
-        ("old", "Sittings", "sittings"),
-    ):
-        saved = {"global_step": 3, "callbacks": {callback: {key: sessions}}}
-        torch.save(saved, unfinished(mine, state) / "last.ckpt")
+    saved = {"global_step": 3, "callbacks": {"TrainingSessions": {"sessions": sessions}}}
+    torch.save(saved, unfinished(mine, "half") / "last.ckpt")
     torch.save({"global_step": 3}, unfinished(mine, "bare") / "last.ckpt")
     write_json(unfinished(mine, "begun") / "run.json", {"commit": "three" * 8})
     write_json(mine / "trainings" / "half" / "run.json", {"commit": "three" * 8})
@@ -68,7 +64,6 @@ def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     half = "unfinished at step 3 of 5"
     assert cells == {
         "half": [half, "oneoneone and twotwotwo and threethre", "rooms", "5", "4.5"],
-        "old": [half, "oneoneone and twotwotwo", "rooms", "5", "4.5"],
         "bare": [half, "-", "rooms", "5", "-"],
         "begun": ["unfinished", "threethre", "rooms", "5", "-"],
         "broken": ["damaged", "-", "rooms", "5", "-"],

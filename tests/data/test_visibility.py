@@ -9,6 +9,7 @@ import trimesh
 
 from helpers import box_room
 from tf_lab.data.groundtruth import MAX_READING
+from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.data.visibility import measure_visibility, scene_visibility
 
@@ -102,7 +103,8 @@ def test_share_and_median(two_rooms: Scene) -> None:
 
 def test_of_a_scene(box_scene: Path) -> None:
     """A convex room with one box: most of what a frustum holds is seen."""
-    found = scene_visibility(Scene(box_scene), points=2000)
+    scene = Scene(box_scene)
+    found = scene_visibility(scene, select_keyframes(scene.world_T_cam), points=2000)
     assert 2000 <= len(found.seen) < 4001
     assert (found.seen <= found.candidates).all()
     assert 0.75 < found.share < 1

@@ -175,14 +175,6 @@ def test_a_run_of_before_rules_can_still_be_read() -> None:
     assert row_label(config) == "Ours"
 
 
-def test_a_run_of_before_max_time_can_still_be_read() -> None:
-    old = asdict(DEFAULT)
-    old["trainer"]["others"] = {"max_time": "00:08:00:00"}
-    del old["trainer"]["max_time"]
-    config = typed(TrainConfig, upgraded(old))
-    assert (config.trainer.max_time, config.trainer.others) == ("00:08:00:00", {})
-
-
 def test_a_training_of_before_matching_is_found_again() -> None:
     old = asdict(DEFAULT)
     del old["inputs"]["matching"], old["inputs"]["stereo"], old["encoder"]["name"]

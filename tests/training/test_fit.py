@@ -18,7 +18,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import sessions_of
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.datamodule import batches_done
-from tf_lab.training.fit import AtomicSaves, FitSettings, fit, rank_zero_lock
+from tf_lab.training.fit import FitSettings, fit, rank_zero_lock
 
 CPU = TrainerSettings(accelerator="cpu", workers=0)
 
@@ -275,15 +275,11 @@ def test_only_a_new_training_without_any_result_leaves_nothing_when_refused(
         assert left == {directory / name for name in {*before, *plans, *result}}
 
 
-def test_sessions_of_this_version_and_of_old(tmp_path: Path) -> None:
-    """What a training of an older version had done is in the checkpoint, by another name."""
+def test_sessions_go_on_from_what_was_saved(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fitted(tmp_path, TrainingSessions(), StopAt(5))
-    last = tmp_path / "last.ckpt"
-    state = torch.load(last, weights_only=True)
-    (session,) = state["callbacks"].pop("TrainingSessions")["sessions"]
-    state["callbacks"]["Sittings"] = {"sittings": [session]}
-    AtomicSaves().save_checkpoint(state, last)
+    state = torch.load(tmp_path / "last.ckpt", weights_only=True)
+    (session,) = state["callbacks"]["TrainingSessions"]["sessions"]
     sessions = TrainingSessions()
     fitted(tmp_path, sessions)
     assert len(sessions.summary()["sessions"]) == 2

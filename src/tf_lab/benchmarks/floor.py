@@ -17,6 +17,7 @@ from tf_lab.network.network import Network
 from tf_lab.online.lattice.level import Level
 from tf_lab.online.reconstructor import Reconstructor
 
+TIMES = 10  # a rate is measured; the best counts
 Work = dict[str, float]  # "flops", "bytes", "ms"
 
 
@@ -33,7 +34,7 @@ def rates(device: torch.device, dtype: torch.dtype) -> dict[str, float]:
     layer = torch.randn(256, 1024, device=device, dtype=dtype)
     maps = torch.randn(1, 256, 60, 80, device=device, dtype=dtype)
     kernel = torch.randn(256, 256, 3, 3, device=device, dtype=dtype)
-    seconds = _best_of(device, 10)
+    seconds = _best_of(device)
     flops = [
         2 * n**3 / seconds(lambda: square @ square),
         2 * tokens.numel() * layer.shape[1] / seconds(lambda: tokens @ layer),
@@ -51,12 +52,12 @@ def rates(device: torch.device, dtype: torch.dtype) -> dict[str, float]:
     return {"flops": max(flops), "bytes": max(moved)}
 
 
-def _best_of(device: torch.device, times: int) -> Callable[[Callable[[], object]], float]:
+def _best_of(device: torch.device) -> Callable[[Callable[[], object]], float]:
     now = clock(device)
 
     def seconds(work: Callable[[], object]) -> float:
         found = []
-        for _ in range(times):
+        for _ in range(TIMES):
             start = now()
             work()
             found.append(now() - start)

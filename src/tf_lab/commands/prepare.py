@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tf_lab.config.schema import PrepareConfig
+from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Scene
 from tf_lab.data.shards import write_shards
 from tf_lab.data.sources.embedded import EmbeddedSource
@@ -53,7 +54,8 @@ def _tell_visibility(scenes: list[Scene]) -> None:
     """Whether choosing views can matter in them."""
     with progress_bar() as bar:
         found = [
-            scene_visibility(scene) for scene in bar.track(scenes, description="counting views")
+            scene_visibility(scene, select_keyframes(scene.world_T_cam))
+            for scene in bar.track(scenes, description="counting views")
         ]
     for scene, views in zip(scenes, found, strict=True):
         print(

@@ -78,18 +78,10 @@ def upgraded(values: Mapping[str, Any]) -> dict[str, Any]:
     """The values of an older version's config as this version has them."""
     new = copy.deepcopy(dict(values))
     data, training = new["data"], new["training"]
-    content = dict(new.pop("digests", {}))
     if "version" in data:
-        content["versions"] = data.pop("version")
-    if (shards := data.pop("identity", None)) is not None:
-        content["shards"] = shards
-    if content:
-        new["content"] = content
+        new["content"] = {"versions": data.pop("version")}
     encoder = {"name": "resnet", **new["encoder"]}
     new["encoder"] = {**absent_values(ENCODERS[encoder["name"]].settings), **encoder}
-    others = new.get("trainer", {}).get("others", {})
-    if "max_time" in others:
-        new["trainer"]["max_time"] = others.pop("max_time")
     for group in ("logger", "launcher"):  # shape nothing, and had other settings
         new.pop(group, None)
     if "ranked" in training:  # the share of steps whose views were kept by attention

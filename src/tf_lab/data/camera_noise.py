@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tf_lab.data.capture import Capture
+from tf_lab.data.capture import Altered, Capture
 from tf_lab.data.settings import CameraNoise
 
 
@@ -39,12 +39,10 @@ def share_of(noise: CameraNoise, share: float) -> CameraNoise:
     return replace(noise, **{name: share * value for name, value in vars(noise).items()})
 
 
-class Disturbed:
+class Disturbed(Altered):
     """A `Capture` whose cameras are a little wrong, always in the same way."""
 
     def __init__(self, capture: Capture, noise: CameraNoise) -> None:
-        self.name, self.size, self.skipped = capture.name, capture.size, capture.skipped
-        self.frames, self.source_T_world = capture.frames, capture.source_T_world
-        self.image, self.depth = capture.image, capture.depth
+        super().__init__(capture)
         rng = np.random.default_rng(0)
         self.K, self.world_T_cam = disturb_cameras(capture.K, capture.world_T_cam, noise, rng)

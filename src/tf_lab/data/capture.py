@@ -50,6 +50,24 @@ class Capture(Protocol):
         ...
 
 
+class Altered:
+    """A `Capture` as another, but for what its kind changes."""
+
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
+        self.name, self.size, self.frames = capture.name, capture.size, capture.frames
+        self.K, self.world_T_cam = capture.K, capture.world_T_cam
+        self.source_T_world, self.skipped = capture.source_T_world, capture.skipped
+
+    def image(self, index: int) -> np.ndarray:
+        """uint8 [H, W, 3] RGB."""
+        return self._capture.image(index)
+
+    def depth(self, index: int) -> np.ndarray | None:
+        """float32 [H, W] metres, 0 where unknown; None without depth."""
+        return self._capture.depth(index)
+
+
 def read_image(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     """An image file as uint8 [H, W, 3] RGB.
 

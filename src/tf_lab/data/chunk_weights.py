@@ -24,7 +24,6 @@ class Structure:
 def chunk_candidates(
     mesh: trimesh.Trimesh,
     grid: VoxelGrid,
-    stride: float = COARSE,
     structure: Structure | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Chunk centres and their sampling weights: fewer in free space, more with furniture.
@@ -43,7 +42,7 @@ def chunk_candidates(
     )
 
     half = CHUNK / 2
-    axes = [np.arange(a - CHUNK, b + CHUNK, stride) for a, b in zip(lower, upper, strict=True)]
+    axes = [np.arange(a - CHUNK, b + CHUNK, COARSE) for a, b in zip(lower, upper, strict=True)]
     centers = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     # counts of vertices in the box around each centre, by the max norm
     everything = cKDTree(vertices).query_ball_point(

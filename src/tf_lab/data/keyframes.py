@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tf_lab.data.capture import Capture
+from tf_lab.data.capture import Altered, Capture
 from tf_lab.geometry import pose_distance
 
 KEYFRAME_DISTANCE = 0.1  # as in DeepVideoMVS, and in the line of work of the paper
@@ -24,7 +24,7 @@ def select_keyframes(world_T_cam: ArrayLike, threshold: float = KEYFRAME_DISTANC
     return keyframes
 
 
-class Thinned:
+class Thinned(Altered):
     """A `Capture` of a few of another's keyframes, evenly chosen.
 
     Args:
@@ -37,16 +37,14 @@ class Thinned:
         keyframes = select_keyframes(capture.world_T_cam, threshold)
         count = min(frames, len(keyframes))
         self.kept = [keyframes[i] for i in np.linspace(0, len(keyframes) - 1, count).astype(int)]
-        self._capture = capture
-        self.name, self.size, self.skipped = capture.name, capture.size, capture.skipped
+        super().__init__(capture)
         self.frames = [capture.frames[i] for i in self.kept]
         self.K, self.world_T_cam = capture.K[self.kept], capture.world_T_cam[self.kept]
-        self.source_T_world = capture.source_T_world
 
     def image(self, index: int) -> np.ndarray:
         """uint8 [H, W, 3] RGB."""
-        return self._capture.image(self.kept[index])
+        return super().image(self.kept[index])
 
     def depth(self, index: int) -> np.ndarray | None:
         """float32 [H, W] metres, 0 where unknown; None without depth."""
-        return self._capture.depth(self.kept[index])
+        return super().depth(self.kept[index])

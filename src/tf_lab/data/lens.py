@@ -17,6 +17,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import check_focal
 
 MAX_SLOPE = 1.75  # x / z: pinhole images wider than 120 degrees are mostly stretched pixels
+SAMPLES = 33  # a side, that tell whether a lens sees a field
 MAX_ZOOM = 2.0  # how much a lens may change the field of view before it is taken for an error
 
 
@@ -257,12 +258,12 @@ def _slopes(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return (edges - K[[0, 1, 0, 1], 2]) / K[[0, 1, 0, 1], [0, 1, 0, 1]]
 
 
-def _sees(camera: Camera, field: np.ndarray, margin: float = 0.0, samples: int = 33) -> bool:
+def _sees(camera: Camera, field: np.ndarray, margin: float = 0.0) -> bool:
     """Whether a lens maps a field [4] into its image, up to ``margin`` pixels off, unfolded."""
     left, top, right, bottom = field
-    fx, fy = (samples - 1) / (right - left), (samples - 1) / (bottom - top)
+    fx, fy = (SAMPLES - 1) / (right - left), (SAMPLES - 1) / (bottom - top)
     K = np.array([[fx, 0, -left * fx], [0, fy, -top * fy], [0, 0, 1]])
-    x, y = _source_pixels(camera, K, (samples, samples))
+    x, y = _source_pixels(camera, K, (SAMPLES, SAMPLES))
     width, height = camera.size
     low, right, bottom = -0.5 - margin, width - 0.5 + margin, height - 0.5 + margin
     inside = (x >= low) & (x <= right) & (y >= low) & (y <= bottom)

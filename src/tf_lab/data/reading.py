@@ -114,10 +114,10 @@ class ReadSettings:
         _positive("depth_scale", self.depth_scale, "units per metre of the depth maps")
         if not isinstance(self.shift, int):
             raise TFLabError(f"shift={self.shift}: a whole number of frames")
-        if not (self.principal in (None, CENTER) or _numbers(self.principal, 2)):
+        if not (self.principal in (None, CENTER) or _two_numbers(self.principal)):
             raise TFLabError(f"principal={self.principal}: choose {CENTER}, or [x,y] in pixels")
         size = self.intrinsics_size
-        if size is not None and not (_numbers(size, 2) and min(size) >= 1):
+        if size is not None and not (_two_numbers(size) and min(size) >= 1):
             raise TFLabError(f"intrinsics_size={size}: [width,height] in pixels")
 
     @classmethod
@@ -139,9 +139,9 @@ def _positive(name: str, value: float | None, meaning: str) -> None:
         raise TFLabError(f"{name}={value}: {meaning}, a positive number")
 
 
-def _numbers(values: Any, count: int) -> bool:
+def _two_numbers(values: Any) -> bool:
     numeric = isinstance(values, tuple) and all(isinstance(v, (int, float)) for v in values)
-    return numeric and len(values) == count and all(math.isfinite(v) for v in values)
+    return numeric and len(values) == 2 and all(math.isfinite(v) for v in values)
 
 
 AS_STATED = ReadSettings()

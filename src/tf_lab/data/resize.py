@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from PIL import Image
 
-from tf_lab.data.capture import Capture
+from tf_lab.data.capture import Altered, Capture
 from tf_lab.geometry import scale_intrinsics
 
 
-class Resized:
+class Resized(Altered):
     """A `Capture` whose colour images are resized to (width, height).
 
     The aspect ratio need not be kept: the intrinsics follow. Depth is resized by nearest
@@ -18,23 +18,20 @@ class Resized:
     """
 
     def __init__(self, capture: Capture, size: tuple[int, int]) -> None:
-        self._capture = capture
+        super().__init__(capture)
         self.size = size
-        self.name, self.frames, self.skipped = capture.name, capture.frames, capture.skipped
         self.K = scale_intrinsics(torch.from_numpy(capture.K), capture.size, size).numpy()
-        self.world_T_cam = capture.world_T_cam
-        self.source_T_world = capture.source_T_world
 
     def image(self, index: int) -> np.ndarray:
         """uint8 [H, W, 3] RGB, area-averaged."""
-        image = self._capture.image(index)
+        image = super().image(index)
         if (image.shape[1], image.shape[0]) == self.size:
             return image
         return np.asarray(Image.fromarray(image).resize(self.size, Image.Resampling.BOX))
 
     def depth(self, index: int) -> np.ndarray | None:
         """float32 [H, W] metres, 0 where unknown; None without depth."""
-        depth = self._capture.depth(index)
+        depth = super().depth(index)
         if depth is None:
             return None
         return np.array(Image.fromarray(depth).resize(self.size, Image.Resampling.NEAREST))

@@ -224,9 +224,7 @@ def _write_shard(path: Path, sampler: ChunkSampler, seed: int, indices: range) -
 
 
 def _entry(path: Path, records: int) -> dict[str, Any]:
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(2**20):
-            digest.update(block)
+        digest = hashlib.file_digest(file, "sha256")
     size = path.stat().st_size
     return {"name": path.name, "records": records, "bytes": size, "sha256": digest.hexdigest()}

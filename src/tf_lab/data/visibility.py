@@ -14,13 +14,13 @@ import torch
 
 from tf_lab.data.capture import Capture
 from tf_lab.data.groundtruth import DepthMaps
-from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.scene import Scene
 from tf_lab.geometry import in_view, invert_pose, project
 from tf_lab.meshes.files import read_mesh
 from tf_lab.support.layout import GROUNDTRUTH_MESH
 
 REACH = 5.0  # metres that a frustum reaches
+TOLERANCE = 0.05  # metres between a depth reading and the point that is seen there, at most
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,6 @@ def measure_visibility(
     frames: Sequence[int],
     points: np.ndarray,
     reach: float = REACH,
-    tolerance: float = 0.05,
 ) -> Visibility:
     """Count views of surface points, told by the frames' depth.
 
@@ -55,7 +54,6 @@ def measure_visibility(
         frames: indices of the frames to count.
         points: [V, 3] on the surface, metres.
         reach: how far (camera z, metres) a frustum goes.
-        tolerance: largest difference (metres) between the reading and the point's depth.
 
     Raises:
         TFLabError: a frame has no depth.
@@ -70,12 +68,12 @@ def measure_visibility(
         held = in_view(uv, z, size, 0.05, reach).nonzero().squeeze(1)
         u, v = uv[held].round().long().unbind(-1)
         candidates[held] += 1
-        found[held] += ((depth[v, u] - z[held]).abs() < tolerance).long()
+        found[held] += ((depth[v, u] - z[held]).abs() < TOLERANCE).long()
     return Visibility(candidates.numpy(), found.numpy())
 
 
-def scene_visibility(scene: Scene, points: int = 20_000) -> Visibility:
-    """Of some vertices of a scene's ground truth, seen by its keyframes (see `keyframes`)."""
+def scene_visibility(scene: Scene, keyframes: Sequence[int], points: int = 20_000) -> Visibility:
+    """Of some vertices of a scene's ground truth, seen by some of its frames."""
     vertices = np.asarray(read_mesh(scene.groundtruth / GROUNDTRUTH_MESH).vertices)
     every = max(1, len(vertices) // points)
-    return measure_visibility(scene, select_keyframes(scene.world_T_cam), vertices[::every])
+    return measure_visibility(scene, keyframes, vertices[::every])

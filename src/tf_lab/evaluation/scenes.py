@@ -14,12 +14,13 @@ import trimesh
 
 from tf_lab.data.groundtruth import DepthMaps, GroundTruth
 from tf_lab.data.scene import Scene
+from tf_lab.data.visibility import scene_visibility
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import PROTOCOL, PublishedGroundTruth, read_groundtruth
 from tf_lab.evaluation.scores import Scores
 from tf_lab.meshes.files import write_mesh
-from tf_lab.online.captures import Reconstruction, median_views
+from tf_lab.online.captures import Reconstruction
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
 from tf_lab.support.files import atomic_path, file_name, write_json
@@ -82,7 +83,7 @@ def save_scene(
         "seconds": round(seconds, 2),
         "keyframes": len(result.keyframes),
         "skipped": result.skipped,
-        "median_views": median_views(scene, result.keyframes, scene.groundtruth),
+        "median_views": scene_visibility(scene, result.keyframes).median,
     }
     if result.online is not None:
         details["view_sets"] = asdict(surface_views(result.online, scene, result.keyframes))

@@ -12,7 +12,7 @@ from tf_lab.config.stored import read_config
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import read_metrics
 from tf_lab.experiments.identity import row_label
-from tf_lab.experiments.provenance import Origin, sessions_of
+from tf_lab.experiments.provenance import Origin
 from tf_lab.experiments.reuse import origin_of, saved_state
 from tf_lab.support.layout import CONFIG, LAST, ORIGIN, RUNS, SCORES, TRAININGS, WEIGHTS
 from tf_lab.support.locks import lock_holder
@@ -99,9 +99,8 @@ def _training(directory: Path) -> Entry:
 
 def _so_far(saved: Mapping[str, Any]) -> Origin:
     """Which code worked on a training until its last checkpoint, and how long."""
-    callbacks = saved.get("callbacks", {})
-    kept = callbacks.get("TrainingSessions", callbacks.get("Sittings", {}))  # of older versions
-    sessions = record(list[Origin], sessions_of(kept), "sessions")
+    kept = saved.get("callbacks", {}).get("TrainingSessions", {})
+    sessions = record(list[Origin], kept.get("sessions", []), "sessions")
     seconds = [each["seconds"] or 0 for each in sessions if "seconds" in each]
     return Origin(sessions=sessions, seconds=sum(seconds)) if sessions else Origin()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import trimesh
 
@@ -15,7 +14,6 @@ from tf_lab.errors import TFLabError
 from tf_lab.network.network import Network
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.settings import ReconstructionSettings
-from tf_lab.support.layout import GROUNDTRUTH_MESH
 from tf_lab.support.memory import telling_no_memory
 
 LESS = (
@@ -91,13 +89,3 @@ def _reconstruct(
             f"{skipped[0]}"
         )
     return Reconstruction(online.mesh(color=color), used, skipped, online)
-
-
-def median_views(capture: Capture, keyframes: list[int], groundtruth: Path) -> float:
-    """By how many keyframes the median surface point is seen, occlusion considered."""
-    from tf_lab.data.groundtruth import MAX_READING
-    from tf_lab.data.visibility import measure_visibility
-    from tf_lab.meshes.files import read_mesh
-
-    mesh = read_mesh(groundtruth / GROUNDTRUTH_MESH)
-    return measure_visibility(capture, keyframes, mesh.vertices, MAX_READING).median

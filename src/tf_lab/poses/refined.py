@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tf_lab.data.capture import Capture
+from tf_lab.data.capture import Altered, Capture
 from tf_lab.data.keyframes import select_keyframes
 from tf_lab.errors import TFLabError
 from tf_lab.poses.bundle import Deviations, adjust
@@ -39,7 +39,7 @@ class Change:
     move: float
 
 
-class Refined:
+class Refined(Altered):
     """A `Capture` with refined poses.
 
     Corners are followed through all frames; the keyframes' poses are adjusted so that they are
@@ -58,9 +58,7 @@ class Refined:
         threshold: float,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        self.name, self.size, self.skipped = capture.name, capture.size, capture.skipped
-        self.frames, self.source_T_world = capture.frames, capture.source_T_world
-        self.image, self.depth, self.K = capture.image, capture.depth, capture.K
+        super().__init__(capture)
         given = np.asarray(capture.world_T_cam, np.float64)
         keyframes = select_keyframes(given, threshold)
         if len(keyframes) > MANY:

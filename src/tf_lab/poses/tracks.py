@@ -12,6 +12,7 @@ import numpy as np
 POINTS = 300  # that are followed at a time
 QUALITY = 0.005  # of a corner, of the best one's
 APART = 3  # pixels between corners
+LEAST = 3  # kept images that a point must be seen in
 RETURN = 0.5  # pixels; a point that is followed back must come so near to where it was
 DRIFT = 2.0  # pixels, between the point as it was followed and as it was first seen
 LUCAS_KANADE: dict[str, Any] = {
@@ -58,9 +59,7 @@ class _Points:
         )
 
 
-def follow(
-    images: Iterable[tuple[int, np.ndarray]], kept: Collection[int], least: int = 3
-) -> Tracks:
+def follow(images: Iterable[tuple[int, np.ndarray]], kept: Collection[int]) -> Tracks:
     """Follow corners from image to image; lost ones are replaced by new ones.
 
     Followed from one to the next alone a point would drift away, half a pixel in a few keyframes.
@@ -70,10 +69,9 @@ def follow(
         images: numbers, and grey images uint8 [H, W], in temporal order, all of one size.
         kept: numbers of the images whose sightings are told and where points begin; the others
             lead from one to the next.
-        least: how many kept sightings a point must have.
 
     Returns:
-        The sightings, in the order of the images.
+        The sightings, in the order of the images, of points with at least `LEAST`.
     """
     points, total = _Points(), 0
     before: np.ndarray | None = None
@@ -94,7 +92,7 @@ def follow(
         where = points.pixel.astype(np.float64)
         sightings.append((np.full(len(where), number), points.number, where))
     frame, point, pixel = (np.concatenate(part) for part in zip(*sightings, strict=True))
-    often = np.bincount(point, minlength=total)[point] >= least
+    often = np.bincount(point, minlength=total)[point] >= LEAST
     return Tracks(frame[often], np.unique(point[often], return_inverse=True)[1], pixel[often])
 
 

@@ -149,15 +149,3 @@ class TrainingSessions(Callback):
         sessions = self.state_dict()["sessions"]
         seconds = round(sum(session["seconds"] for session in sessions), 1)
         return {**self.origin, "seconds": seconds, "sessions": sessions}
-
-
-def upgraded_callbacks(checkpoint: dict[str, Any]) -> dict[str, Any]:
-    """A checkpoint with the states of callbacks as this version names them.
-
-    Without the timer's: a limit of time is of one session.
-    """
-    states = checkpoint.get("callbacks", {})
-    states.pop("Timer", None)
-    if "Sittings" in states:
-        states["TrainingSessions"] = {"sessions": states.pop("Sittings")["sittings"]}
-    return checkpoint

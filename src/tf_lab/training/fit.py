@@ -24,7 +24,7 @@ from tf_lab.support.layout import CONFIG, LAST, ORIGIN
 from tf_lab.support.locks import LOCK, NOTE, directory_lock
 from tf_lab.support.memory import telling_no_memory
 from tf_lab.support.stops import as_parent
-from tf_lab.training.callbacks import TrainingProgress, upgraded_callbacks
+from tf_lab.training.callbacks import TrainingProgress
 from tf_lab.training.finite import Finite
 from tf_lab.training.objects import instantiated
 from tf_lab.training.state import read_state
@@ -189,8 +189,10 @@ class AtomicSaves(TorchCheckpointIO):
             torch.save(checkpoint, temporary)
 
     def load_checkpoint(self, *arguments: Any, **others: Any) -> dict[str, Any]:
-        """Read a checkpoint, also one of an older version."""
-        return upgraded_callbacks(super().load_checkpoint(*arguments, **others))
+        """Read a checkpoint, without the timer's state: a limit of time is of one session."""
+        checkpoint: dict[str, Any] = super().load_checkpoint(*arguments, **others)
+        checkpoint.get("callbacks", {}).pop("Timer", None)
+        return checkpoint
 
 
 class _Identity(Callback):

@@ -16,11 +16,11 @@ BAR = "height:10px;border-radius:2px;background:"
 TEXT = "font:12px sans-serif;display:flex;justify-content:space-between"
 
 
-def data_uri(image: np.ndarray, format: str = "jpeg") -> str:
+def data_uri(image: np.ndarray) -> str:
     """An image, uint8 [H, W, 3], to stand in a page."""
     content = io.BytesIO()
-    Image.fromarray(image).save(content, format, quality=85)
-    return f"data:image/{format};base64,{base64.b64encode(content.getvalue()).decode()}"
+    Image.fromarray(image).save(content, "jpeg", quality=85)
+    return f"data:image/jpeg;base64,{base64.b64encode(content.getvalue()).decode()}"
 
 
 def kept_views(pick: Pick | None) -> str:

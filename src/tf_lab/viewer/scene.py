@@ -33,12 +33,9 @@ class Drawing:
         shift: [3] metres, where it stands.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, name: str = "/scene", shift: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, name: str, shift: np.ndarray) -> None:
         self.server, self.name = server, name
-        place = np.zeros(3) if shift is None else shift
-        self.root = server.scene.add_frame(name, show_axes=False, position=place)
+        self.root = server.scene.add_frame(name, show_axes=False, position=shift)
         self.shift = np.asarray(self.root.position, float)
         self._pieces: dict[Chunk, Any] = {}
         self._cameras: dict[int, Any] = {}

@@ -97,7 +97,7 @@ def handle(kit: Kit, x: float, y: float, z: float, length: float) -> None:
     )
 
 
-def cushion(kit: Kit, low: Vector, high: Vector, material: int, tint: Tint = (1, 1, 1)) -> None:
+def cushion(kit: Kit, low: Vector, high: Vector, material: int) -> None:
     """A box with bevelled edges."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     bevel = 0.28 * float((high - low).min())
@@ -110,9 +110,9 @@ def cushion(kit: Kit, low: Vector, high: Vector, material: int, tint: Tint = (1,
     for lower, upper in pairwise(loops):
         for k in range(4):
             j = (k + 1) % 4
-            kit.s.polygon(np.array([lower[k], lower[j], upper[j], upper[k]]), material, tint)
-    kit.s.polygon(loops[-1], material, tint)
-    kit.s.polygon(loops[0][::-1], material, tint)
+            kit.s.polygon(np.array([lower[k], lower[j], upper[j], upper[k]]), material)
+    kit.s.polygon(loops[-1], material)
+    kit.s.polygon(loops[0][::-1], material)
 
 
 def books(kit: Kit, area: Rect, z: float, room: float) -> None:

@@ -55,7 +55,7 @@ def best_views(shown: Shown) -> Drawn:
     _draw_cameras(axes, shown, frames[order[:CAMERAS]], camera)
     axes.set_axis_off()
     axes.set_title(f"{capture.name}: the view of greatest weight", fontsize=HEADING)
-    bar = figure.colorbar(_scale(FRAME_COLORS, 0, total - 1), cax=figure.add_subplot(grid[:, 1]))
+    bar = figure.colorbar(_scale(FRAME_COLORS, total - 1), cax=figure.add_subplot(grid[:, 1]))
     bar.set_label("frame along the trajectory")
     for place, i in enumerate(_apart(frames, order, APART * total)[:EXAMPLES]):
         cell = figure.add_subplot(grid[place // 2, 2 + place % 2])
@@ -122,7 +122,7 @@ def selected_views(shown: Shown, points: np.ndarray | None = None) -> Drawn:
     return Drawn(figure, caption)
 
 
-def chosen_points(shown: Shown, hits: Hits, count: int = POINTS) -> np.ndarray:
+def chosen_points(shown: Shown, hits: Hits) -> np.ndarray:
     """Some points [P, 3] (metres) of what is seen, far apart, among those that keep most views."""
     online = shown.result.online
     assert online is not None
@@ -133,7 +133,7 @@ def chosen_points(shown: Shown, hits: Hits, count: int = POINTS) -> np.ndarray:
     kept = _showing(online, points)
     points = points[kept == kept.max(initial=0)]
     chosen = [int(np.argmin(np.linalg.norm(points - points.mean(0), axis=1)))]
-    for _ in range(1, min(count, len(points))):
+    for _ in range(1, min(POINTS, len(points))):
         away = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(1)
         chosen.append(int(away.argmax()))
     return np.asarray(points[chosen])
@@ -233,15 +233,15 @@ def _weight_bar(figure: Any, axes: Any, found: Pick) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
     colors = LinearSegmentedColormap.from_list("weights", [LOW / 255, HIGH / 255])
-    scale = _scale(colors, 0, float(found.weights.max()))
+    scale = _scale(colors, float(found.weights.max()))
     figure.colorbar(scale, ax=[*axes], shrink=0.8, aspect=15, pad=0.01).set_label("weight")
 
 
-def _scale(colors: Any, low: float, high: float) -> Any:
+def _scale(colors: Any, high: float) -> Any:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    return ScalarMappable(Normalize(low, high), colors)
+    return ScalarMappable(Normalize(0, high), colors)
 
 
 def _place(found: Pick) -> str:
