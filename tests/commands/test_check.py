@@ -122,7 +122,7 @@ def test_no_worse_fit_of_the_sensors_is_called_the_best(best: float, told: str) 
         ((), "usage: python -m tf_lab.check input=DIR"),
         (("input=nowhere",), "nowhere: no such folder"),
         (("input=kitchen", "axes=blender"), "axes=blender: choose opencv"),
-        (("input=kitchen", "output=kitchen/K.txt"), "output=DIR names a folder"),
+        (("input=kitchen", "output=kitchen/K.txt"), "is a file; give a folder"),
     ],
 )
 def test_errors_are_a_line(inverted: Path, words: tuple[str, ...], told: str) -> None:

@@ -83,6 +83,21 @@ def test_no_runs(tmp_path: Path) -> None:
     assert done.err.startswith(f"error: no finished run in {tmp_path}/runs; run: python -m tf_lab.")
     assert len(done.err.splitlines()) == 1
     assert "no such folder" in call("report").err  # outputs/runs
+    (tmp_path / "a.json").write_text("")
+    assert "a.json: is no folder" in call("report", f"runs={tmp_path}/a.json").err
+    assert "runs=[]: give a folder" in call("report", "runs=[]").err
+
+
+def test_another_report_into_the_same_folder(tmp_path: Path) -> None:
+    """Of the one before no page is left; runs that were kept stay, and are told."""
+    runs = [write_run(tmp_path / str(i), f"optimizer.steps={7 + i}", 0, [0.5]) for i in range(2)]
+    words = (f"output={tmp_path}/out", "keep=true", "figures=[]", "pictures=false")
+    for run in runs:
+        done = call("report", f"runs={run.parent}", *words)
+        assert done.status == 0
+    assert [path.stem for path in (tmp_path / "out" / "pages").iterdir()] == [runs[1].name]
+    assert {path.name for path in (tmp_path / "out" / "runs").iterdir()} == {r.name for r in runs}
+    assert f"keeps 1 run more, of which this report has nothing, such as {runs[0].name}" in done.out
 
 
 def test_several_folders_and_the_study_asked_for(tmp_path: Path) -> None:

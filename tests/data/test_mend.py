@@ -199,6 +199,8 @@ def test_poses_shifted_against_the_images(tmp_path: Path, shift: int) -> None:
     capture = opened(tmp_path, wrong, shift=shift)
     expected = [str(i) for i in range(max(0, -shift), COUNT - max(0, shift)) if i != 4]
     assert capture.frames == expected
+    lost = [line for line in capture.skipped if f"shift={shift}: no frame is that" in line]
+    assert len(lost) == abs(shift)
     right = np.stack([frames()[int(name)].world_T_cam for name in expected])
     np.testing.assert_allclose(capture.world_T_cam, right, atol=1e-6)
 

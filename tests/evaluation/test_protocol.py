@@ -250,13 +250,15 @@ def test_empty_meshes_score_as_missing_ones(tmp_path: Path, content: str) -> Non
     assert evaluate_scene(None, truth) == WORST
 
 
-@pytest.mark.parametrize("file", ["far.obj", "far.PLY"])
-def test_a_prediction_in_another_format_is_told(folders: tuple[Path, Path], file: str) -> None:
+@pytest.mark.parametrize(("file", "cure"), [("far.obj", "convert"), ("far.PLY", "rename")])
+def test_a_prediction_in_another_format_is_told(
+    folders: tuple[Path, Path], file: str, cure: str
+) -> None:
     predictions, groundtruth = folders
     (predictions / "far.ply").rename(predictions / file)
     result = evaluate(predictions, groundtruth)
-    assert result["missing"] == ["far"]
-    assert f"{file}: predictions are read from far.ply; convert it" in result["failed"]["far"]
+    assert result["missing"] == []  # which are scored
+    assert f"{file}: predictions are read from far.ply; {cure} it" in result["failed"]["far"]
 
 
 def test_a_mesh_with_a_vertex_that_is_no_number(tmp_path: Path) -> None:
@@ -284,9 +286,24 @@ def test_a_missing_prediction_counts_in_the_mean_and_is_told(folders: tuple[Path
     predictions, truth = folders
     (predictions / "far.ply").unlink()
     result = evaluate(predictions, truth)
-    assert result["missing"] == ["far"]
+    assert (result["missing"], result["empty"]) == (["far"], [])
     assert result["scenes"]["far"] == WORST
     assert result["mean"]["prec"] == 1 and result["mean"]["recall"] == 0.5
+
+
+def test_the_command_says_what_is_missing_empty_or_of_no_scene(
+    folders: tuple[Path, Path], tmp_path: Path
+) -> None:
+    predictions, _ = folders
+    (predictions / "far.ply").rename(predictions / "Far.ply")
+    (predictions / "near.ply").write_text(PLY.format(vertices=0, faces=0))
+    done = run("predictions=predictions", "groundtruth=groundtruth", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-3:] == [
+        "no prediction, scored as empty: far",
+        "of no scene: 1 other file, such as Far.ply",
+        "no surface in it, scored as empty: near",
+    ]
 
 
 @pytest.mark.parametrize(

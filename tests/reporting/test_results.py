@@ -63,6 +63,17 @@ def test_rows_are_told_from_the_config_and_share_their_settings(
     assert run.settings == ours.settings
 
 
+def test_how_to_make_a_damaged_run_anew(tmp_path: Path) -> None:
+    """`runs` knows those of an output folder; of another, the folder is to go."""
+    bad = write_run(tmp_path, "", 0, [0.5])
+    for folder, command in ((tmp_path / "runs", "python -m tf_lab.runs rm"), (tmp_path, "rm -r")):
+        path = bad.rename(folder / "one")
+        (path / "metrics.json").write_text("{")
+        with pytest.raises(TFLabError, match=f"to make it anew: {command} {path}"):
+            read_run(path)
+        bad = path
+
+
 @pytest.mark.parametrize(
     "other",
     ["optimizer.steps=7", "data.size=3", "model.width=16", "resolution=0.04", "training.points=9"],

@@ -122,6 +122,12 @@ def test_how_many_seeds_a_row_has_where_they_differ(study: Study, tmp_path: Path
     found = cells(short_table(study))
     assert (found["Ours"][0], found["Ours: w/o C2F filter"][0]) == ("3", "1")
     assert "over seeds 0, 1, 2, of some rows fewer, of the mean" in main_table(study).caption
+    odd = [("", 0), ("", 1), ("fusion=avg", 1), ("fusion=avg", 2)]
+    for row, seed in odd:
+        write_run(tmp_path / "odd", row, seed, [0.5])
+    table = main_table(open_study([tmp_path / "odd"])[0])
+    assert "Seeds" in [column.title for column in table.columns]
+    assert "those of the seeds 0, 1, 2 that a row has, none all of them," in table.caption
     said = "of one seed they are of scenes alone, and say nothing of another training"
     assert said in comparison_table(study).caption and said in orderings_table(study).caption
     write_study(tmp_path, {row: SCORES[row]["fscore"] for row in ROWS})
@@ -232,6 +238,19 @@ def test_what_views_are_worth_by_row(tmp_path: Path) -> None:
     }
 
 
+def test_views_of_which_a_run_says_too_little_are_left_out(tmp_path: Path) -> None:
+    """A scene without them, or one of them."""
+    whole = {"visible": 0.5, "visible_of_all": 0.4, "spread": 20, "variety": 9}
+    part = {"visible": 0.5}
+    for name, sets in {"scene": [whole], "one": [part, part], "none": [whole, whole]}.items():
+        path = write_run(tmp_path / name, "", 0, [0.5, 0.6]) / "metrics.json"
+        metrics = json.loads(path.read_text())
+        metrics["details"] = {n: {"view_sets": s} for n, s in zip(SCENES, sets, strict=False)}
+        path.write_text(json.dumps(metrics))
+        study, _ = open_study([tmp_path / name])
+        assert [*cells(views_table(study))] == (["Ours"] if name == "none" else [])
+
+
 def test_metrics_that_only_some_runs_have(tmp_path: Path) -> None:
     """Missing ones are dashes, further ones columns; a mean is over the seeds that have it."""
     for seed, normals in enumerate((0.8, 0.9)):
@@ -239,7 +258,12 @@ def test_metrics_that_only_some_runs_have(tmp_path: Path) -> None:
     write_run(tmp_path, "", 2, [0.5])
     change_scores(write_run(tmp_path, "fusion=avg", 0, [0.5]), "fscore")
     study, remarks = open_study([tmp_path])
-    assert remarks == []
+    told = re.findall(r"^(.*, seed \d): .* lacks (\w*) of a", "\n".join(remarks), re.MULTILINE)
+    assert sorted(told) == [
+        ("Ours, seed 0", "recall"),
+        ("Ours, seed 1", "recall"),
+        ("Ours: w/o TRSF, avg, seed 0", "fscore"),
+    ]
     for make in (short_table, main_table):
         columns = [column.title for column in make(study).columns]
         assert columns[2:9] == ["Acc", "Compl", "Chamfer", "Prec", "Recall", "F-score", "Normals"]

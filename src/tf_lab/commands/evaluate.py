@@ -31,6 +31,10 @@ def run(config: EvaluateConfig) -> None:
         write_json(output, result)
     if result["missing"]:
         print("no prediction, scored as empty: " + ", ".join(result["missing"]))
+        if unknown := result["unknown"]:  # of which one may be meant
+            print(f"of no scene: {counted(len(unknown), 'other file')}, such as {unknown[0]}")
+    if result["empty"]:
+        print("no surface in it, scored as empty: " + ", ".join(result["empty"]))
     if result["point_clouds"]:
         print("no surface, scored by the points as they are: " + ", ".join(result["point_clouds"]))
     for name, remark in result["wrong_scale"].items():

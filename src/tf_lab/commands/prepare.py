@@ -33,6 +33,8 @@ def run(config: PrepareConfig) -> None:
     prepared = source.prepare(config.splits, config.check)
     if prepared.summary:
         print(prepared.summary)
+    elif not prepared.failed and not any(prepared.scenes.values()):
+        print(f"nothing to prepare: no scene in splits=[{','.join(config.splits)}]")
     for name, reason in prepared.failed.items():
         print(f"  failed {name}: {reason}")
     if isinstance(source, EmbeddedSource):

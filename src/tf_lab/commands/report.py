@@ -13,6 +13,7 @@ from tf_lab.reporting.studies import Study, open_study
 from tf_lab.reporting.tables import settings_table, short_table
 from tf_lab.support.files import check_folder
 from tf_lab.support.layout import PICTURES, RUNS
+from tf_lab.support.words import counted
 
 
 def run(config: ReportConfig) -> None:
@@ -22,9 +23,12 @@ def run(config: ReportConfig) -> None:
     check_folder(output)
     study, remarks = open_study(folders, config.study)
     if config.keep:
-        for each in (study, *study.others):
-            for run in each.runs.values():
-                keep_run(run, output / RUNS)
+        kept = {keep_run(r, output / RUNS) for s in (study, *study.others) for r in s.runs.values()}
+        if others := {*(output / RUNS).iterdir()} - kept:
+            remarks.append(
+                f"{output / RUNS}: keeps {counted(len(others), 'run')} more, of which this report "
+                f"has nothing, such as {min(others).name}"
+            )
     write_report(study, remarks, output)
     pictures = 0
     if config.pictures:

@@ -243,9 +243,11 @@ def evaluate(
 
     Returns:
         ``protocol``, ``mean`` and ``scenes`` (metrics.json), ``settings``, ``missing`` (the scenes
-        without a prediction), ``point_clouds`` (those predicted as points, without a surface),
-        ``wrong_scale`` (scene -> by what factor) and ``failed`` (scene -> message of those that
-        could not be evaluated; the mean leaves them out, so a caller must not pass over them).
+        without a prediction) and ``empty`` (those with one that has no surface), both scored as
+        such, ``point_clouds`` (those predicted as points, without a surface), ``unknown`` (meshes
+        of no scene), ``wrong_scale`` (scene -> by what factor) and ``failed`` (scene -> message of
+        those that could not be evaluated; the mean leaves them out, so a caller must not pass over
+        them).
 
     Raises:
         TFLabError: a folder is missing, or no scene at all could be evaluated.
@@ -264,16 +266,21 @@ def evaluate(
         )
     scenes: dict[str, Scores] = {}
     failed: dict[str, str] = {}
-    point_clouds, scales = [], {}
+    missing, empty, point_clouds, scales = [], [], [], {}
     for name in track(names):
         try:
             truth = read_groundtruth(groundtruth / name)
             mesh = _read_prediction(predictions / f"{name}.ply")
             if mesh is None and (other := _other_file(predictions, name)):
-                raise TFLabError(f"{other}: predictions are read from {name}.ply; convert it")
+                cure = "rename" if other.suffix.lower() == ".ply" else "convert"
+                raise TFLabError(f"{other}: predictions are read from {name}.ply; {cure} it")
             found = compared(mesh, truth, seed)
             scenes[name] = score(found, metrics)
-            if mesh is not None and is_point_cloud(mesh):
+            if mesh is None:
+                missing.append(name)
+            elif found is None:
+                empty.append(name)
+            elif is_point_cloud(mesh):
                 point_clouds.append(name)
             if found and (remark := wrong_scale(found.points, truth.points)):
                 scales[name] = remark
@@ -286,8 +293,10 @@ def evaluate(
         "mean": mean_scores(scenes.values()),
         "scenes": scenes,
         "settings": {"seed": seed, "threshold_cm": 100 * THRESHOLD, "n_points": SAMPLES},
-        "missing": [name for name in names if not (predictions / f"{name}.ply").exists()],
+        "missing": missing,
+        "empty": empty,
         "point_clouds": point_clouds,
+        "unknown": sorted(given[name] for name in given.keys() - set(names)),
         "wrong_scale": scales,
         "failed": failed,
     }

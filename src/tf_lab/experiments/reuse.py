@@ -20,7 +20,7 @@ from tf_lab.experiments.provenance import (
     sessions_of,
 )
 from tf_lab.support.headers import read_info
-from tf_lab.support.layout import CONFIG, LAST, ORIGIN, WEIGHTS
+from tf_lab.support.layout import CONFIG, LAST, ORIGIN, RUNS, TRAININGS, WEIGHTS
 from tf_lab.support.records import read_record, record
 from tf_lab.support.settings import shaping
 
@@ -51,7 +51,9 @@ def saved_state(last: Path) -> dict[str, Any]:
 
 def removal(directory: Path) -> str:
     """The command that removes a training or an evaluation, so that it is made anew."""
-    return f"python -m tf_lab.runs rm {shlex.quote(str(directory))}"
+    name = shlex.quote(str(directory))
+    known = directory.resolve().parent.name in (TRAININGS, RUNS)
+    return f"python -m tf_lab.runs rm {name}" if known else f"rm -r {name}"
 
 
 def print_reuse(what: str, directory: Path) -> None:

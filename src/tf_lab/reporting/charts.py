@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MEAN = "mean ± standard deviation"
+SPREAD = "means, bars of the standard deviation over seeds, small dots for the seeds, "
 # told apart by their markers in grey: name, rows, colour, marker, octaves of K to the right
 SELECTIONS: tuple[tuple[str, dict[int, str], str, str, float], ...] = (
     ("attention", ATTENTION, BLUE, "o", -0.05),
@@ -126,9 +127,10 @@ def _repetitions(study: Study, *rows: str) -> str:
 
 def caption_of(what: str, study: Study) -> str:
     """Of a chart of a study."""
+    over = "" if study.repetitions[1] == 1 else SPREAD
     return (
-        f"{what}, {_repetitions(study)} of study {study.key}: means, bars of the standard "
-        "deviation over seeds, small dots for the seeds, beside the paper's values on ScanNet."
+        f"{what}, {_repetitions(study)} of study {study.key}: {over}beside the paper's values on "
+        "ScanNet."
     )
 
 

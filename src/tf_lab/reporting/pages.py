@@ -58,8 +58,11 @@ def write_pages(
     """
     page = study_page(study, about, remarks, output / PICTURES, figures)
     _write(output / "report.html", page)
-    for run in study.runs.values():
-        _write(output / "pages" / f"{run.directory.name}.html", run_page(run))
+    pages = {output / "pages" / f"{r.directory.name}.html": r for r in study.runs.values()}
+    for path, run in pages.items():
+        _write(path, run_page(run))
+    for path in {*(output / "pages").glob("*.html")} - pages.keys():
+        path.unlink()  # of another study's report
 
 
 def study_page(

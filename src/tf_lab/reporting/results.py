@@ -67,9 +67,12 @@ def find_runs(folders: Iterable[Path]) -> tuple[list[Run], list[str]]:
     """
     runs, damaged = [], []
     folders = list(folders)
+    if not folders:
+        raise TFLabError("runs=[]: give a folder of runs, or several")
     for folder in folders:
         if not folder.is_dir():
-            raise TFLabError(f"{folder}: there is no such folder; {_what_to_do(folders)}")
+            what = "is no folder" if folder.exists() else "there is no such folder"
+            raise TFLabError(f"{folder}: {what}; {_what_to_do(folders)}")
         for path in sorted(folder.rglob(SCORES)):
             if any(part.startswith(".") for part in path.relative_to(folder).parts):
                 continue  # half removed
@@ -167,7 +170,7 @@ def told_apart(scores: Scores, metrics: Mapping[str, Any]) -> Scores:
 
 def _view_sets(metrics: Metrics) -> dict[str, float]:
     """The means over scenes; nothing where a scene does not say."""
-    found = [each.get("view_sets") or {} for each in metrics.details.values()]
+    found = [metrics.details.get(scene, {}).get("view_sets") or {} for scene in metrics.scenes]
     alike = bool(found) and all(each.keys() == found[0].keys() for each in found)
     return mean_scores(found) if alike else {}
 

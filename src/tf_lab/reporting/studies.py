@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tf_lab.errors import TFLabError
-from tf_lab.evaluation.registry import MetricPart, metric_columns
+from tf_lab.evaluation.registry import PAPER, MetricPart, metric_columns
 from tf_lab.experiments.identity import key_of
 from tf_lab.experiments.provenance import commits_of
 from tf_lab.reporting.paper import ABLATIONS, OURS
@@ -140,7 +140,7 @@ def open_study(folders: Iterable[Path | str], key: str | None = None) -> tuple[S
         told = "; its scores are in the table of settings" if other in compared else ""
         size = counted(len(other.runs), "run")
         remarks.append(f"left out: study {other.key}, {size}, with {what}{told}")
-    return replace(study, others=compared), [*remarks, *_mixture(study)]
+    return replace(study, others=compared), [*remarks, *_lacking(study), *_mixture(study)]
 
 
 def group(runs: Iterable[Run]) -> list[Study]:
@@ -208,6 +208,19 @@ def differences(settings: dict[str, Any], reference: dict[str, Any]) -> str:
 
 def _short(value: Any) -> str:
     return f"{len(value)} of them" if isinstance(value, list) and len(value) > 4 else str(value)
+
+
+def _lacking(study: Study) -> list[str]:
+    """A line on each run without one of the paper's metrics: it is in no mean of that."""
+    lines = []
+    for (row, seed), run in study.runs.items():
+        scores = run.scenes.values()
+        if lacks := [name for name in PAPER if any(name not in each for each in scores)]:
+            lines.append(
+                f"{row}, seed {seed}: {_named(run)} lacks {', '.join(lacks)} of a scene; it does "
+                "not count there"
+            )
+    return lines
 
 
 def _mixture(study: Study) -> list[str]:

@@ -92,14 +92,19 @@ def _over(study: Study) -> str:
     seeds = ", ".join(map(str, study.seeds()))
     if len(study.seeds()) == 1:
         return f"Of seed {seeds}"
-    fewer = ", of some rows fewer," if _seeds(study) else ""
-    return f"Mean and standard deviation over seeds {seeds}{fewer} of"
+    if not _seeds(study):
+        which = f"seeds {seeds}"
+    elif any(study.seeds(row) == study.seeds() for row in study.rows):
+        which = f"seeds {seeds}, of some rows fewer,"
+    else:
+        which = f"those of the seeds {seeds} that a row has, none all of them,"
+    return f"Mean and standard deviation over {which} of"
 
 
 def _seeds(study: Study) -> list[Column]:
-    """A column for how many seeds a row has, where they are not as many for all."""
-    least, most = study.repetitions
-    return [] if least == most else [SEEDS]
+    """A column for how many seeds a row has, where they are not the same for all."""
+    alike = all(study.seeds(row) == study.seeds() for row in study.rows)
+    return [] if alike else [SEEDS]
 
 
 def _mean_cells(study: Study, row: str) -> list[Cell]:
@@ -309,7 +314,7 @@ def views_table(study: Study) -> Table:
     body: list[Row] = []
     for row in study.rows:
         runs = [study.runs[row, seed] for seed in study.seeds(row)]
-        if all(run.view_sets for run in runs):
+        if all(forms.keys() <= run.view_sets.keys() for run in runs):
             found = [
                 _over_seeds(np.array([run.view_sets[key] for run in runs]), form)
                 for key, form in forms.items()

@@ -94,7 +94,7 @@ def check_folder(folder: Path, path: Path | None = None) -> None:
         TFLabError: they can't.
     """
     if path is None and folder.is_file():
-        raise TFLabError(f"{folder}: is a file; output=DIR names a folder")
+        raise TFLabError(f"{folder}: is a file; give a folder, which need not be there yet")
     folder = folder.absolute()
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     try:

@@ -48,11 +48,13 @@ def mended(capture: SourceCapture, settings: ReadSettings, centred: bool = True)
             f"quaternions={settings.quaternions}: {given.source} has no quaternions; leave it out"
         )
     poses = mended_poses(given, settings, range(len(given.frames)))
-    frames = [
-        _mended_frame(replace(frame, world_T_cam=pose), settings)
-        for frame, pose in zip(given.frames, poses, strict=True)
-    ]
-    found = usable(replace(given, frames=frames), centred)
+    frames, skipped = [], list(given.skipped)
+    for index, (frame, pose) in enumerate(zip(given.frames, poses, strict=True)):
+        if 0 <= index + settings.shift < len(poses):
+            frames.append(_mended_frame(replace(frame, world_T_cam=pose), settings))
+        else:
+            skipped.append(f"{frame.name}: shift={settings.shift}: no frame is that many later")
+    found = usable(replace(given, frames=frames, skipped=skipped), centred)
     return replace(found, given=given, source_T_world=world_mirror(settings))
 
 

@@ -48,9 +48,12 @@ class ScanNetSource(PreparedSource):
                 else:
                     missing.append(error)
         if names and not found:
+            where = f"no {split} scene in it"
+            if not self.root.exists():
+                where += " (nor such a folder)"
             without = "" if split == "train" else f"{self.group}.{split}_size=0 goes without, "
             raise TFLabError(
-                f"{self.group}.root={self.root}: no {split} scene in it; {without}a list of your "
+                f"{self.group}.root={self.root}: {where}; {without}a list of your "
                 f"own in scannetv2_{split}.txt there says which they are; {missing[0]}"
             )
         if missing and (limit is None or len(found) < limit):
