@@ -53,7 +53,7 @@ def test_every_setting_has_a_comment(command: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "option", ["data=captures", "data=scannet", "data=shards", "logger=wandb", "model=paper"]
+    "option", ["data=captures", "data=scannet", "data=flats", "logger=wandb", "model=paper"]
 )
 def test_every_setting_of_a_choice_has_a_comment(option: str) -> None:
     out = call("train", option, "--help").out

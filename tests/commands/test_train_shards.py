@@ -1,4 +1,4 @@
-"""train data=shards: what is in the shards makes the training, not where they lie."""
+"""train data.urls=: what is in the shards makes the training, not where they lie."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ def shards(rooms: Callable[[str], list[Path]], tmp_path: Path) -> Path:
 
 
 def test_training_from_shards(train: Callable[..., Result], shards: Path) -> None:
-    first = train("data=shards", f"data.urls={shards}")
+    first = train(f"data.urls={shards}")
     assert first.status == 0, first.err
     assert "Ours" in first.out
     run = json.loads((first.path("run") / "run.json").read_text())
@@ -32,17 +32,16 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
     assert "urls" not in stored["data"]
     # elsewhere, and named in another way
     moved = shutil.move(shards, shards.parent / "moved")
-    again = train("data=shards", f'data.urls="{moved}/chunks-{{000000..000001}}.tar"')
+    again = train(f'data.urls="{moved}/chunks-{{000000..000001}}.tar"')
     assert "reusing the identical finished evaluation" in again.out
     assert again.path("run") == first.path("run")
-    half = train("data=shards", f"data.urls={moved}/chunks-000000.tar")
+    half = train(f"data.urls={moved}/chunks-000000.tar")
     assert half.path("training") != first.path("training")
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "error: data.urls is missing"),
         (("data.urls=gone",), "gone: not a shard"),
         (("data.urls={0}", "inputs=stereo"), "inputs.stereo=true: shards hold no depth maps"),
         (("data.urls={0}", "training.points=100"), "written with training.points=200, not 100"),
@@ -51,7 +50,7 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
 def test_errors(
     train: Callable[..., Result], shards: Path, arguments: tuple[str, ...], message: str
 ) -> None:
-    result = train("data=shards", *(a.format(shards) for a in arguments))
+    result = train(*(a.format(shards) for a in arguments))
     assert result.status == 2
     assert message in result.err
     assert "Traceback" not in result.err

@@ -49,7 +49,7 @@ def with_hydra(*overrides: str) -> list[Any]:
 
 
 # what the user has to say beside an option
-NEEDED = {"data=captures": ["data.root=captures"], "data=shards": ["data.urls=shards"]}
+NEEDED = {"data=captures": ["data.root=captures"]}
 
 
 @pytest.mark.usefixtures("any_launcher")

@@ -82,7 +82,7 @@ def test_a_job_of_a_sweep_gets_it_as_it_stands(text: str) -> None:
         ("prepare", "data.format", ("data=captures", "data.root=a")),
         ("train", "output", ()),
         ("train", "data.root", ("data=scannet",)),
-        ("train", "data.urls", ("data=shards",)),
+        ("train", "data.urls", ()),
         ("train", "data.val", ("data=captures", "data.root=a")),
         ("train", "encoder.weights", ()),
         ("train", "model.name", ()),

@@ -23,7 +23,7 @@ from tf_lab.data.rooms.render import Lighting, Renderer
 from tf_lab.data.rooms.shapes import Surfaces
 from tf_lab.data.rooms.textures import SIZE
 from tf_lab.data.sources.embedded import RoomSource
-from tf_lab.data.sources.settings import ShardsData
+from tf_lab.data.sources.settings import RoomsData
 from tf_lab.data.sources.source import ATTRIBUTION
 from tf_lab.errors import TFLabError
 
@@ -276,7 +276,7 @@ def test_shards_are_trained_on_as_they_are(tmp_path: Path, monkeypatch: pytest.M
     """Furniture is of scenes that are rendered: beside shards it changes nothing."""
     monkeypatch.setattr(RoomSource, "shards", lambda self: "the same")
     plain, given = (
-        RoomSource(ShardsData(root=str(tmp_path), urls="DIR", furniture=furniture)).content()
+        RoomSource(RoomsData(root=str(tmp_path), urls="DIR", furniture=furniture)).content()
         for furniture in (None, str(tmp_path / "absent"))
     )
     assert plain == given

@@ -17,7 +17,6 @@ from tf_lab.data.sources.settings import (
     FlatsData,
     RoomsData,
     ScanNetData,
-    ShardsData,
 )
 from tf_lab.data.sources.source import DataSource, Prepared, open_source
 from tf_lab.errors import TFLabError
@@ -26,6 +25,7 @@ Check = Callable[[Any], None]
 SIZE: dict[str, Any] = {"width": 64, "height": 48, "workers": 1}
 EMBEDDED: dict[str, Any] = {**SIZE, "size": 2, "val_size": 0, "frames": 12, "test_frames": 12}
 # of ScanNet's splits
+BESIDE_SHARDS = ("rooms and shards", "flats and shards")
 SCANS = {
     "train": "scans/scene0000_00",
     "val": "scans/scene0011_00",
@@ -58,7 +58,8 @@ def settings(tmp_path_factory: pytest.TempPathFactory, box_scene: Path) -> dict[
     return {
         "rooms": RoomsData(**EMBEDDED, **cache),
         "flats": FlatsData(**{**EMBEDDED, "size": 1}, **cache, rooms=1),
-        "shards": ShardsData(**EMBEDDED, **cache, urls=str(root / "shards")),
+        "rooms and shards": RoomsData(**EMBEDDED, **cache, urls=str(root / "shards")),
+        "flats and shards": FlatsData(**EMBEDDED, **cache, urls=str(root / "shards"), rooms=1),
         "captures": CapturesData(
             **SIZE,
             root=str(root / "captures"),
@@ -72,7 +73,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory, box_scene: Path) -> dict[
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
-@pytest.mark.parametrize("name", [part.name for part in SOURCES])
+@pytest.mark.parametrize("name", [*(p.name for p in SOURCES), *BESIDE_SHARDS])
 def test_contract(settings: dict[str, Any], name: str, check: Check) -> None:
     check(settings[name])
 

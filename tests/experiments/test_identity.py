@@ -33,7 +33,14 @@ NEITHER = (
     *("trainer.workers", "trainer.accelerator", "trainer.compile", "trainer.max_time"),
     *("online.maps_device", "online.maps_budget", "online.batch", "online.compile"),
     *("trainer.strategy", "training.validate_every", "training.save_every"),
-    *("training.maps_memory", "init", "init_encoder", "data.furniture", "data.textures"),
+    *(
+        "training.maps_memory",
+        "init",
+        "init_encoder",
+        "data.furniture",
+        "data.textures",
+        "data.urls",
+    ),
     "groundtruth",
 )
 
@@ -216,13 +223,15 @@ def test_a_row_is_its_settings_whatever_it_is_called(row: str) -> None:
 
 def test_shards_are_known_by_what_is_in_them() -> None:
     here, there, others = (
-        with_content(composed("data=shards", f"data.urls={place}"), shards=digest)
+        with_content(composed(f"data.urls={place}"), shards=digest)
         for place, digest in (("a", "x1"), ("b", "x1"), ("a", "x2"))
     )
     assert keys(here) == keys(there)
     assert keys(here)[0] != keys(others)[0]
-    shuffled = composed("data=shards", "data.urls=a", "data.shuffle=false")
+    shuffled = composed("data.urls=a", "data.shuffle=false")
     assert keys(here)[0] != keys(with_content(shuffled, shards="x1"))[0]
+    for unused in ("data.size=7", "data.frames=9"):
+        assert keys(with_content(composed("data.urls=a", unused), shards="x1")) == keys(here)
     assert "urls" not in portable_config(here)["data"]
 
 

@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
 from tf_lab.cli.help import FOUND_OUT, also, is_within
-from tf_lab.config.schema import GROUPS, TEST_ON, parts_of
+from tf_lab.config.schema import GROUPS, TEST_ON
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.experiments.launcher import JOB, task_overrides
@@ -69,7 +69,7 @@ def check_groups(overrides: Sequence[str], conf: Path) -> None:
     for word in overrides:
         group, _, choice = word.lstrip("+").partition("=")
         options = {path.stem for path in (conf / group).glob("*.yaml")}
-        parts = parts_of(group) if group in GROUPS else []
+        parts = [*GROUPS[group]] if group in GROUPS else []
         parts += [*METRICS] if group == METRICS.group else []
         options |= {part.choice for part in parts if part.name not in PAPER}
         if group == "metrics" and choice.startswith("["):  # Hydra would say it in five lines

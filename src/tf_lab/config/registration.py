@@ -12,7 +12,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from tf_lab.config.groups import InputSettings, TrainerSettings
-from tf_lab.config.schema import CONFIGS, GROUPS, PARTS, TEST_ON, parts_of
+from tf_lab.config.schema import CONFIGS, GROUPS, PARTS, TEST_ON
 from tf_lab.evaluation.registry import METRICS, PAPER
 from tf_lab.support.registry import Part
 
@@ -41,7 +41,7 @@ def _store(known: tuple[Part, ...]) -> None:
     for (group, option), settings in OPTIONS.items():
         store.store(group=group, name=option, node=node_of(settings))
     for group in GROUPS:
-        for part in parts_of(group):
+        for part in GROUPS[group]:
             node = node_of(part.settings)
             if group == TEST_ON:
                 _size_of_training(node)

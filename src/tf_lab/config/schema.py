@@ -54,11 +54,6 @@ GROUPS: dict[str, Registry[Any]] = {**{parts.group: parts for parts in PARTS}, T
 """The groups that choose a part, and of which kind; of `TEST_ON` none need be chosen."""
 
 
-def parts_of(group: str) -> list[Any]:
-    """The parts that may be chosen in a group: test scenes beside shards are rooms."""
-    return [part for part in GROUPS[group] if group != TEST_ON or part.name != "shards"]
-
-
 @dataclass(frozen=True)
 class NetworkSettings:
     """What a network is made of."""

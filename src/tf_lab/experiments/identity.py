@@ -21,6 +21,7 @@ from tf_lab.support.layout import RUNS, TRAININGS
 from tf_lab.support.settings import shaping
 
 PAPER_VIEWS = 16
+OF_SCENES = ("size", "frames", "rooms")  # of the data; of shards they say nothing
 WATCHING = tuple(  # callbacks that change nothing
     f"lightning.pytorch.callbacks.{name}"
     for name in ("LearningRateMonitor", "DeviceStatsMonitor", "Timer")
@@ -32,8 +33,9 @@ def training_identity(config: TrainConfig) -> dict[str, Any]:
     identity = shaping(replace(config, test_on=None), "weights")
     if config.content.encoder is not None:  # a file: known by what is in it
         del identity["encoder"]["weights"]
-    if config.content.shards is not None:  # of which each loader process reads a part
-        identity["loaders"] = max(1, config.trainer.workers)
+    if config.content.shards is not None:  # in the place of scenes
+        identity["loaders"] = max(1, config.trainer.workers)  # each reads a part
+        identity["data"] = {k: v for k, v in identity["data"].items() if k not in OF_SCENES}
     callbacks = [c for c in config.callbacks.values() if c.get("_target_") not in WATCHING]
     return {**identity, "callbacks": callbacks} if callbacks else identity
 

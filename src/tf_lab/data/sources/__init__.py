@@ -9,13 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tf_lab.data.sources.settings import (
-    CapturesData,
-    FlatsData,
-    RoomsData,
-    ScanNetData,
-    ShardsData,
-)
+from tf_lab.data.sources.settings import CapturesData, FlatsData, RoomsData, ScanNetData
 from tf_lab.support.registry import Part, Registry
 
 
@@ -29,7 +23,6 @@ _HERE = "tf_lab.data.sources"
 for _part in (
     SourcePart("rooms", f"{_HERE}.embedded:RoomSource", RoomsData),
     SourcePart("flats", f"{_HERE}.embedded:FlatSource", FlatsData),
-    SourcePart("shards", f"{_HERE}.embedded:RoomSource", ShardsData),
     SourcePart("captures", f"{_HERE}.captures:CaptureSource", CapturesData),
     SourcePart("scannet", f"{_HERE}.scannet:ScanNetSource", ScanNetData),
 ):

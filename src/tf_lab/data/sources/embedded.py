@@ -166,12 +166,12 @@ class EmbeddedSource(DataSource):
 
     def _size(self, split: str) -> int:
         s = self.settings
-        return {"train": s.size, "val": s.val_size, "test": s.test_size}[split]
+        return {"train": 0 if s.urls else s.size, "val": s.val_size, "test": s.test_size}[split]
 
     def _borrowed(self, split: str) -> Borrowed:
         """Val and test scenes are the same for all, so that their scores compare."""
         s = self.settings
-        if split != "train" or getattr(s, "urls", None):
+        if split != "train" or s.urls:
             return NOTHING
         furniture = read_catalogue(Path(s.furniture).expanduser()) if s.furniture else None
         covers = read_photographs(Path(s.textures).expanduser()) if s.textures else None
@@ -207,7 +207,7 @@ class FlatSource(EmbeddedSource):
     def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
         """See `DataSource`."""
         found = super().prepare(splits, check)
-        if "train" not in splits or not self.settings.rooms:
+        if "train" not in splits or not self._beside():
             return found
         rooms = self._rooms().prepare(["train"])
         train = {**found.scenes["train"], **rooms.scenes["train"]}
@@ -216,14 +216,18 @@ class FlatSource(EmbeddedSource):
 
     def has(self, split: str) -> bool:
         """See `DataSource`."""
-        return super().has(split) or (split == "train" and self.settings.rooms > 0)
+        return super().has(split) or (split == "train" and self._beside() > 0)
 
     def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """See `DataSource`."""
         content = super().content(splits)
-        if "train" not in splits or not self.settings.rooms:
+        if "train" not in splits or not self._beside():
             return content
         return replace(content, versions={**content.versions, **self._rooms().content().versions})
+
+    def _beside(self) -> int:
+        """How many single rooms are trained on."""
+        return 0 if self.settings.urls else self.settings.rooms
 
     def _rooms(self) -> RoomSource:
         s = self.settings

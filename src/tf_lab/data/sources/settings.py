@@ -12,6 +12,12 @@ from tf_lab.support.settings import setting
 SPLITS = ("train", "val", "test")
 CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:HOME,.}/.cache/tf_lab}"
 
+URLS = (
+    "shards to train on instead of the training scenes: DIR, https://host/DIR/, "
+    "'DIR/chunks-{000000..000031}.tar', or a list of such"
+)
+SHUFFLE = "of shards: an order of its own for every epoch"
+
 
 @dataclass(frozen=True)
 class Content:
@@ -74,6 +80,8 @@ class EmbeddedData:
         kind="path",
     )
     workers: int | None = setting(None, "rendering processes; null: one a core", least=1)
+    urls: Any = setting(None, URLS, kind="path", several=True)
+    shuffle: bool = setting(True, SHUFFLE, shapes="weights", absent=True)
 
 
 @dataclass(frozen=True)
@@ -100,24 +108,6 @@ class FlatsData(EmbeddedData):
 
 
 @dataclass(frozen=True)
-class ShardsData(RoomsData):
-    """Chunks from shards, which `prepare ... shards=DIR` writes; val and test scenes are rooms."""
-
-    name: str = setting("shards", "set it by data=", shapes="weights")
-    size: int = setting(32, "not used: the shards are what is trained on", least=0)
-    frames: int = setting(128, "not used", least=1)
-    furniture: str | None = setting(None, "not used", kind="path")
-    textures: str | None = setting(None, "not used", kind="path")
-    urls: Any = setting(
-        None,
-        "DIR, https://host/DIR/, 'DIR/chunks-{000000..000031}.tar', or a list of such",
-        kind="path",
-        several=True,
-    )
-    shuffle: bool = setting(True, "an order of its own for every epoch", shapes="weights")
-
-
-@dataclass(frozen=True)
 class PreparedData:
     """Scenes that are prepared from captures: from what a camera recorded."""
 
@@ -134,12 +124,8 @@ class PreparedData:
     test_size: int | None = setting(None, "use so many of the test scenes; null: all", least=0)
     workers: int | None = setting(None, "processes, one a scene; null: one a core", least=1)
     memory: float = setting(1.0, "GiB a process may take for depth fusion", above=0)
-    urls: Any = setting(
-        None, "shards to train on instead of the training scenes", kind="path", several=True
-    )
-    shuffle: bool = setting(
-        True, "of shards: an order of its own for every epoch", shapes="weights"
-    )
+    urls: Any = setting(None, URLS, kind="path", several=True)
+    shuffle: bool = setting(True, SHUFFLE, shapes="weights")
 
     @property
     def read(self) -> ReadSettings:

@@ -179,12 +179,7 @@ def open_source(settings: Any, content: Content | None = None, group: str = "dat
         settings: see `DataSource`.
         content: see `DataSource`.
         group: of the config that the settings are; messages name it.
-
-    Raises:
-        TFLabError: shards without ``data.urls``.
     """
-    if settings.name == "shards" and not settings.urls:
-        raise TFLabError(f"{group}.urls is missing; give the folder or the pattern of the shards")
     source: DataSource = SOURCES.named(settings).load()(settings, content)
     source.group = group
     return source
