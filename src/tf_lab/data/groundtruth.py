@@ -32,7 +32,7 @@ from tf_lab.data.tsdf import TSDF, bounds_of, extract_mesh, fuse_in_slabs, join,
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import COARSE, VoxelGrid
 from tf_lab.support.arrays import TooManyFilesError, read_array, read_arrays
-from tf_lab.support.layout import GROUNDTRUTH_MESH
+from tf_lab.support.layout import GROUNDTRUTH_MESH, OCCLUSION_MASK, WORLD2GRID
 from tf_lab.support.text import read_numbers
 
 VERSION = 3  # changes whenever the output for the same depth does; of a given mesh, captures'
@@ -164,7 +164,7 @@ def write_groundtruth(
     directory.mkdir(parents=True, exist_ok=True)
     meshes = []
     with (
-        _volume(directory / "occlusion_mask.npy", grid, np.uint8) as occlusion,
+        _volume(directory / OCCLUSION_MASK, grid, np.uint8) as occlusion,
         _volume(directory / "sdf.npy", grid, np.float16) if training else nullcontext() as sdf,
     ):
         for rows, slab in fused:
@@ -177,7 +177,7 @@ def write_groundtruth(
     if not len(surface.faces):
         raise TFLabError(f"{capture.name}: the depth maps give no surface; check depth and poses")
     surface.export(directory / GROUNDTRUTH_MESH)
-    np.savetxt(directory / "world2grid.txt", torch.linalg.inv(grid.world_T_index).numpy())
+    np.savetxt(directory / WORLD2GRID, torch.linalg.inv(grid.world_T_index).numpy())
     if not training:
         return
     tree = _tree(seen if mesh is None else dense(mesh, grid.voxel / 2))
@@ -211,7 +211,7 @@ class GroundTruth:
         try:
             self.sdf_volume = read_array(directory / "sdf.npy", CURE)
             self.distance_volume = read_array(directory / "distance.npy", CURE)
-            numbers = read_numbers(directory / "world2grid.txt", CURE)
+            numbers = read_numbers(directory / WORLD2GRID, CURE)
             world2grid = np.array(numbers).reshape(4, 4)
             chunks = read_arrays(directory / "chunks.npz", CURE)
             self.centers, self.weight = chunks["centers"], chunks["weight"]
@@ -219,7 +219,7 @@ class GroundTruth:
             if len(shape) != 3 or shape != self.distance_volume.shape:
                 raise ValueError(f"volumes of {shape} and {self.distance_volume.shape}")
             if not (np.isfinite(world2grid).all() and world2grid[0, 0] > 0):
-                raise ValueError("world2grid.txt is no grid's")
+                raise ValueError(f"{WORLD2GRID} is no grid's")
             if self.centers.shape != (len(self.weight), 3):
                 raise ValueError("centres and weights in chunks.npz do not fit")
         except TooManyFilesError:

@@ -24,13 +24,13 @@ from tf_lab.evaluation.metrics import THRESHOLD, Comparison, visibility
 from tf_lab.evaluation.scores import Scores, mean_scores, score
 from tf_lab.meshes.files import read_mesh
 from tf_lab.support.arrays import read_array
-from tf_lab.support.layout import GROUNDTRUTH_MESH
+from tf_lab.support.layout import GROUNDTRUTH_MESH, OCCLUSION_MASK, WORLD2GRID
 from tf_lab.support.text import read_numbers
 from tf_lab.support.words import counted
 
 PROTOCOL = "transformerfusion"
 LAYOUT = "the published layout needs it"
-FILES = (GROUNDTRUTH_MESH, "occlusion_mask.npy", "world2grid.txt")  # of a scene
+FILES = (GROUNDTRUTH_MESH, OCCLUSION_MASK, WORLD2GRID)  # of a scene
 MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")  # what others write
 SAMPLES = 200_000  # points on every predicted mesh, whatever its resolution
 CLEAR = 2.5  # a factor between the sizes of prediction and ground truth that nobody means
@@ -67,7 +67,7 @@ def read_groundtruth(directory: Path) -> PublishedGroundTruth:
     mesh = read_mesh(directory / GROUNDTRUTH_MESH)
     if len(mesh.vertices) == 0:
         raise TFLabError(f"{directory / GROUNDTRUTH_MESH}: has no vertex; prepare the scene again")
-    path = directory / "occlusion_mask.npy"
+    path = directory / OCCLUSION_MASK
     mask = np.array(read_array(path, LAYOUT))
     if mask.ndim != 3 or 0 in mask.shape or mask.dtype.kind not in "biuf":
         raise TFLabError(
@@ -75,7 +75,7 @@ def read_groundtruth(directory: Path) -> PublishedGroundTruth:
         )
     if not np.isfinite(mask).all():
         raise TFLabError(f"{path}: holds NaN or infinity")
-    return PublishedGroundTruth(mesh, mask, _read_world2grid(directory / "world2grid.txt"))
+    return PublishedGroundTruth(mesh, mask, _read_world2grid(directory / WORLD2GRID))
 
 
 def _read_world2grid(path: Path) -> np.ndarray:

@@ -20,7 +20,12 @@ WEIGHTS = "model.safetensors"  # of a finished training
 SCORES = "metrics.json"  # of a finished evaluation
 PICTURES = "pictures"
 
-GROUNDTRUTH_MESH = "mesh_gt.ply"  # in a scene's folder of ground truth, as published
+# in a scene's folder of ground truth, as published
+GROUNDTRUTH_MESH, OCCLUSION_MASK, WORLD2GRID = (
+    "mesh_gt.ply",
+    "occlusion_mask.npy",
+    "world2grid.txt",
+)
 
 
 def mesh_path(run: Path, scene: str) -> Path:

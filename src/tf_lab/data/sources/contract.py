@@ -13,10 +13,10 @@ from typing import Any
 from tf_lab.data.scene import Scene
 from tf_lab.data.sources.settings import SPLITS
 from tf_lab.data.sources.source import DataSource, open_source
-from tf_lab.support.layout import GROUNDTRUTH_MESH
+from tf_lab.support.layout import GROUNDTRUTH_MESH, OCCLUSION_MASK, WORLD2GRID
 
 GROUNDTRUTH = (
-    *(GROUNDTRUTH_MESH, "occlusion_mask.npy", "world2grid.txt"),
+    *(GROUNDTRUTH_MESH, OCCLUSION_MASK, WORLD2GRID),
     *("sdf.npy", "distance.npy", "chunks.npz"),
 )
 
