@@ -336,3 +336,5 @@ def test_the_train_command_on_two_roots(root: Path, tmp_path: Path) -> None:
     name = first.path("training").name
     shown = call("runs", "show", name, f"output={tmp_path / 'outputs'}").out
     assert info["scenes"]["kitchen"] in shown
+    provenance = shown.partition("provenance:")[2].partition("\nconfig:")[0]
+    assert provenance and '"config"' not in provenance  # nor that of the weights it began with

@@ -6,9 +6,9 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from tf_lab.errors import TFLabError
 from tf_lab.evaluation.scores import format_table, read_metrics
@@ -123,6 +123,15 @@ def _start(entry: Entry, unknown: str = "", tested: bool = False) -> list[str]:
     return [entry.directory.name, state, commits_of(makers) or unknown, *of]
 
 
+def _without_configs(origin: Mapping[str, Any]) -> dict[str, Any]:
+    """A provenance, of a training and of what that started from, too, without the settings."""
+    return {
+        name: _without_configs(value) if isinstance(value, dict) else value
+        for name, value in origin.items()
+        if name != "config"
+    }
+
+
 def details(entry: Entry) -> str:
     """All that is known of a training or an evaluation."""
     known_of_it = filter(None, [entry.label, *_start(entry)[1:3]])
@@ -131,10 +140,7 @@ def details(entry: Entry) -> str:
     if metrics is not None:
         rows = [*metrics.scenes.items(), (metrics.label, metrics.mean)]
         lines += ["", format_table(rows, "Scene")]
-    known = {key: value for key, value in entry.origin.items() if key != "config"}
-    if "training" in known:
-        training = entry.origin["training"]
-        known["training"] = {k: v for k, v in training.items() if k != "config"}
+    known = _without_configs(entry.origin)
     lines += ["", "provenance:", json.dumps(known, indent=2)] if known else []
     lines += ["", "cannot be read:", *entry.problems] if entry.problems else []
     path = entry.directory / CONFIG
