@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solveh_banded
 from scipy.sparse import bsr_matrix
 from scipy.spatial.transform import Rotation
 
@@ -148,18 +148,25 @@ class _Problem:
         right: np.ndarray,
         below: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve [A B; B' D] = -(right, below), of blocks, by the Schur complement of D."""
+        """Solve [A B; B' D] = -(right, below), of blocks, by the Schur complement of D.
+
+        Which is zero but in a band: points are followed from image to image, so that two cameras
+        that are further apart in time than the longest track share none.
+        """
         order = np.argsort(self.frame, kind="stable")
         starts = np.searchsorted(self.frame[order], np.arange(self.cameras + 1))
         shape = (6 * self.cameras, 3 * self.points)
         coupling = bsr_matrix((B[order], self.point[order], starts), shape=shape)
         inverse = np.linalg.inv(D)
         blocks = bsr_matrix((inverse, np.arange(self.points), np.arange(self.points + 1)))
-        reduced = -(coupling @ blocks @ coupling.T).toarray()
-        for i, block in enumerate(A):
-            reduced[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += block
+        own = bsr_matrix((A, np.arange(self.cameras), np.arange(self.cameras + 1)))
+        reduced = (own - coupling @ blocks @ coupling.T).tocoo()
+        below_diagonal = reduced.row - reduced.col
+        lower = below_diagonal >= 0
+        bands = np.zeros((below_diagonal.max() + 1, 6 * self.cameras))
+        bands[below_diagonal[lower], reduced.col[lower]] = reduced.data[lower]
         there = np.einsum("mij,mj->mi", inverse, below).ravel()
-        cameras = cho_solve(cho_factor(reduced), coupling @ there - right.ravel())
+        cameras = solveh_banded(bands, coupling @ there - right.ravel(), lower=True)
         points = -there.reshape(-1, 3) - np.einsum(
             "mij,mj->mi", inverse, (coupling.T @ cameras).reshape(-1, 3)
         )

@@ -15,7 +15,6 @@ from tf_lab.errors import TFLabError
 from tf_lab.poses.bundle import Deviations, adjust
 from tf_lab.poses.tracks import follow
 
-MANY = 1500  # keyframes
 WORTH = 0.6  # of the sightings' error is left at most, or the given poses are kept
 
 
@@ -61,11 +60,6 @@ class Refined(Altered):
         super().__init__(capture)
         given = np.asarray(capture.world_T_cam, np.float64)
         keyframes = select_keyframes(given, threshold)
-        if len(keyframes) > MANY:
-            print(
-                f"refining the poses of {len(keyframes)} keyframes takes very long (it grows with "
-                f"their cube, {MANY} take ten minutes); a larger keyframe_distance has fewer"
-            )
         tracks = follow(_grey(capture, progress), set(keyframes))
         tracks = tracks._replace(frame=np.searchsorted(keyframes, tracks.frame))
         K, poses = capture.K[keyframes], given[keyframes]
