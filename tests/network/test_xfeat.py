@@ -90,8 +90,8 @@ def test_the_coarsest_stage_is_the_published_network_of_an_image_with_margins(
     images = torch.rand(2, 3, 64, 96)
     grey = images.mean(1, keepdim=True).numpy()
     grey = (grey - grey.mean((2, 3), keepdims=True)) / grey.std((2, 3), keepdims=True)
-    m = MARGIN
-    larger = torch.from_numpy(np.pad(grey, ((0, 0), (0, 0), (m, m), (m, m)), mode="edge"))
+    rows, columns = ((MARGIN, side - MARGIN - n) for side, n in ((96, 64), (128, 96)))
+    larger = torch.from_numpy(np.pad(grey, ((0, 0), (0, 0), rows, columns), mode="edge"))
     with torch.no_grad():
         found = encoder.stages(images)[-1]
         expected = published_features(made_up(), larger)
@@ -120,6 +120,18 @@ def test_a_pixel_of_a_stage_looks_at_its_own_place(
     assert touched.min() > 0 and touched.max() < 191
     middle = float(touched.min() + touched.max()) / 2
     assert abs(middle - ((row + 0.5) * stride - 0.5)) <= {2: 0.5, 4: 1.5, 8: 0.5}[stride]
+
+
+def test_what_lies_beyond_an_image_moves_nothing_in_it(
+    encoder: XFeat, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of sides that no stage divides, too: all lie evenly on each other."""
+    monkeypatch.setattr(F, "instance_norm", lambda x: x)  # which depends on all of the image
+    images = torch.rand(1, 3, 61, 300)
+    continued = F.pad(images, (0, 180, 0, 0), mode="replicate")
+    with torch.no_grad():
+        alone, larger = (encoder.stages(each)[-1][..., :18] for each in (images, continued))
+    torch.testing.assert_close(alone, larger, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("size", [(64, 96), (60, 81), (120, 160)])

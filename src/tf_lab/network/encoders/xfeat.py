@@ -22,6 +22,7 @@ STRIDES, CHANNELS = (2, 4, 8), (8, 24, 64)  # of the stages
 # place, and the features were learnt so. Half a pixel of the coarsest stage more on every side of
 # the image puts that stage where it belongs.
 MARGIN = 4  # image pixels
+WHOLE = 32  # the sides' divisor, with which every stage lies evenly on the finer ones
 
 
 class Layer(nn.Module):
@@ -68,15 +69,15 @@ class XFeat(FixedStatistics):
         """Of images [N, 3, H, W]: [N, 8, H/2, W/2], [N, 24, H/4, W/4] and [N, 64, H/8, W/8]."""
         full = x.shape[-2:]
         x = F.instance_norm(x.mean(1, keepdim=True))
-        x = F.pad(x, (MARGIN,) * 4, mode="replicate")
+        down, right = (MARGIN + -(side + 2 * MARGIN) % WHOLE for side in full)
+        x = F.pad(x, (MARGIN, right, MARGIN, down), mode="replicate")
         half = self.block1[:3](x)
         quarter = self.block2(self.block1[3](half) + self.skip1(x))
         eighth = self.block3(quarter)
         sixteenth = self.block4(eighth)
-        levels = [sixteenth, self.block5(sixteenth)]
-        size = eighth.shape[-2:]
-        upsampled = [F.interpolate(level, size, mode="bilinear") for level in levels]
-        fused = self.block_fusion(eighth + upsampled[0] + upsampled[1])
+        for level in (sixteenth, self.block5(sixteenth)):
+            eighth = eighth + F.interpolate(level, eighth.shape[-2:], mode="bilinear")
+        fused = self.block_fusion(eighth)
         return [_placed(half, 2, full), _placed(quarter, 4, full), _placed(fused, 8, full)]
 
     def trunk_of(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
