@@ -166,12 +166,14 @@ class EmbeddedSource(DataSource):
 
     def _size(self, split: str) -> int:
         s = self.settings
-        return {"train": 0 if s.urls else s.size, "val": s.val_size, "test": s.test_size}[split]
+        return {"train": s.size if s.urls is None else 0, "val": s.val_size, "test": s.test_size}[
+            split
+        ]
 
     def _borrowed(self, split: str) -> Borrowed:
         """Val and test scenes are the same for all, so that their scores compare."""
         s = self.settings
-        if split != "train" or s.urls:
+        if split != "train" or s.urls is not None:
             return NOTHING
         furniture = read_catalogue(Path(s.furniture).expanduser()) if s.furniture else None
         covers = read_photographs(Path(s.textures).expanduser()) if s.textures else None
@@ -227,7 +229,7 @@ class FlatSource(EmbeddedSource):
 
     def _beside(self) -> int:
         """How many single rooms are trained on."""
-        return 0 if self.settings.urls else self.settings.rooms
+        return self.settings.rooms if self.settings.urls is None else 0
 
     def _rooms(self) -> RoomSource:
         s = self.settings

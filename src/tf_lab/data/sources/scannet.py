@@ -48,9 +48,8 @@ class ScanNetSource(PreparedSource):
                 else:
                     missing.append(error)
         if names and not found:
-            where = f"no {split} scene in it"
-            if not self.root.exists():
-                where += " (nor such a folder)"
+            there = self.root.exists()
+            where = f"no {split} scene in it" if there else "there is no such folder"
             without = "" if split == "train" else f"{self.group}.{split}_size=0 goes without, "
             raise TFLabError(
                 f"{self.group}.root={self.root}: {where}; {without}a list of your "

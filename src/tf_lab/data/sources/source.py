@@ -138,7 +138,7 @@ class DataSource(ABC):
             TFLabError: they cannot be opened.
         """
         urls = getattr(self.settings, "urls", None)
-        return open_shards(urls).identity if urls else None
+        return None if urls is None else open_shards(urls).identity
 
     def chunks(
         self, settings: ChunkSettings, near: float, far: float, stereo: bool = False
@@ -154,7 +154,7 @@ class DataSource(ABC):
         Raises:
             TFLabError: the shards cannot be opened, or the scenes not be made.
         """
-        if urls := getattr(self.settings, "urls", None):
+        if (urls := getattr(self.settings, "urls", None)) is not None:
             if stereo:
                 raise TFLabError(
                     "inputs.stereo=true: shards hold no depth maps; train on the scenes"
