@@ -43,7 +43,7 @@ def test_training_from_shards(train: Callable[..., Result], shards: Path) -> Non
     ("arguments", "message"),
     [
         (("data.urls=[]",), "error: data.urls is empty"),
-        (("data.urls=",), "shards.json: the index of the shards cannot be read"),
+        (("data.urls=",), "data.urls=: is empty"),
         (("data.urls=gone",), "gone: not a shard"),
         (("data.urls={0}", "inputs=stereo"), "inputs.stereo=true: shards hold no depth maps"),
         (("data.urls={0}", "training.points=100"), "written with training.points=200, not 100"),
