@@ -166,9 +166,8 @@ class EmbeddedSource(DataSource):
 
     def _size(self, split: str) -> int:
         s = self.settings
-        return {"train": s.size if s.urls is None else 0, "val": s.val_size, "test": s.test_size}[
-            split
-        ]
+        train = s.size if s.urls is None else 0
+        return {"train": train, "val": s.val_size, "test": s.test_size}[split]
 
     def _borrowed(self, split: str) -> Borrowed:
         """Val and test scenes are the same for all, so that their scores compare."""
