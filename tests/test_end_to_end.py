@@ -12,10 +12,10 @@ from tf_lab.data.chunk_sampler import ChunkSampler, ChunkStream
 from tf_lab.data.chunks import COARSE_GRID, FINE_GRID
 from tf_lab.data.groundtruth import GroundTruth
 from tf_lab.data.keyframes import select_keyframes
-from tf_lab.data.rooms import RoomSettings
 from tf_lab.data.scene import Scene
 from tf_lab.data.settings import ChunkSettings
-from tf_lab.data.sources.embedded import FLATS, ROOMS, EmbeddedSplit
+from tf_lab.data.sources.embedded import FlatSource, RoomSource
+from tf_lab.data.sources.settings import FlatsData, RoomsData
 from tf_lab.data.visibility import scene_visibility
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.geometry import FINE, VoxelGrid
@@ -27,8 +27,10 @@ from tf_lab.training.losses import losses
 @pytest.fixture(scope="module")
 def test_room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The first room of the test split, as the default renders it."""
-    split = {"test": EmbeddedSplit(1, RoomSettings(frames=260))}
-    return Scene(ROOMS.prepare(tmp_path_factory.mktemp("rooms"), split, workers=1)["test"][0])
+    root = str(tmp_path_factory.mktemp("rooms"))
+    source = RoomSource(RoomsData(root=root, test_size=1, workers=1))
+    (room,) = source.scenes("test")["test"].values()
+    return Scene(room)
 
 
 def score_of_truth(scene: Scene, network: Network) -> dict[str, float]:
@@ -59,8 +61,8 @@ def test_true_occupancy_gives_the_true_mesh(
 def test_true_occupancy_gives_the_true_mesh_of_a_flat(
     tmp_path: Path, tiny_network: Callable[..., Network]
 ) -> None:
-    split = {"test": EmbeddedSplit(1, RoomSettings(frames=60))}
-    (flat,) = FLATS.prepare(tmp_path, split, workers=1)["test"]
+    source = FlatSource(FlatsData(root=str(tmp_path), test_size=1, test_frames=60, workers=1))
+    (flat,) = source.scenes("test")["test"].values()
     assert score_of_truth(Scene(flat), tiny_network())["fscore"] > 0.95
 
 

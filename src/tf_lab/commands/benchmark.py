@@ -25,7 +25,7 @@ from tf_lab.network.network import Network
 from tf_lab.reporting.figures.runtimes import runtimes
 from tf_lab.support.devices import device_of
 from tf_lab.support.figures import write_figure
-from tf_lab.support.files import atomic_path, check_folder, write_json
+from tf_lab.support.files import check_folder, write_json, write_text
 
 
 def run(config: BenchmarkConfig) -> None:
@@ -56,8 +56,7 @@ def run(config: BenchmarkConfig) -> None:
     name = "benchmark" if "tables" in config.parts else "live"  # which takes no table's place
     files = [f"{name}.txt", f"{name}.json"]
     write_json(output / files[1], results)
-    with atomic_path(output / files[0]) as temporary:
-        temporary.write_text(text + "\n")
+    write_text(output / files[0], text + "\n")
     if "frame" in found:
         files.append(f"{name}.png")
         write_figure(runtimes(results).figure, output / files[-1])

@@ -19,7 +19,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.pictures import compare
 from tf_lab.experiments.provenance import provenance
 from tf_lab.meshes.files import read_mesh
-from tf_lab.support.files import atomic_path, check_folder
+from tf_lab.support.files import check_folder, write_text
 from tf_lab.support.layout import GROUNDTRUTH_MESH, picture_path
 from tf_lab.support.progress import progress_bar
 from tf_lab.support.words import counted
@@ -81,8 +81,7 @@ def _write_shards(config: PrepareConfig, source: DataSource) -> None:
         source.workers,
     )
     if (attribution := source.attribution()) is not None:
-        with atomic_path(index.parent / ATTRIBUTION) as temporary:
-            temporary.write_text(attribution, encoding="utf-8")
+        write_text(index.parent / ATTRIBUTION, attribution)
     print(f"{index.parent}: {config.shard_chunks} chunks; train with data.urls={index.parent}")
 
 

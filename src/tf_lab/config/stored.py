@@ -16,7 +16,7 @@ from tf_lab.config.typed import literal, typed
 from tf_lab.errors import TFLabError
 from tf_lab.network.encoders import ENCODERS
 from tf_lab.support.documents import read_yaml
-from tf_lab.support.files import atomic_path
+from tf_lab.support.files import write_text
 from tf_lab.support.records import record
 from tf_lab.support.settings import absent_values
 
@@ -26,8 +26,7 @@ _MISTAKES = (KeyError, TypeError, ValueError, AttributeError)  # of values that 
 def write_config(config: TrainConfig, path: Path, portable: bool = False) -> None:
     """Save a config; its scenes, which may be many, are in ``run.json``."""
     values = portable_config(config) if portable else _plain(config)
-    with atomic_path(path) as temporary:
-        temporary.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    write_text(path, yaml.safe_dump(values, sort_keys=False))
 
 
 def portable_config(config: Any) -> dict[str, Any]:

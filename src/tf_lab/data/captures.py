@@ -7,8 +7,6 @@ whoever works with the old one goes on undisturbed.
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import logging
 import os
 from collections import Counter
@@ -37,6 +35,7 @@ from tf_lab.data.scene import Frame, Scene, write_scene
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.files import read_mesh
 from tf_lab.support.files import atomic_directory, remove_abandoned, write_json
+from tf_lab.support.hashes import hash_of
 from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 from tf_lab.support.text import read_lines
@@ -68,8 +67,7 @@ class ImportSettings:
     def key(self) -> str:
         """A name for scenes of these settings, so that others never pass for them."""
         versions = [VERSION, scene.FORMAT, groundtruth.VERSION]
-        digest = hashlib.sha256(json.dumps([*versions, asdict(self)]).encode()).hexdigest()
-        return f"{self.width}x{self.height}-{digest[:10]}"
+        return f"{self.width}x{self.height}-{hash_of([*versions, asdict(self)])}"
 
 
 @dataclass

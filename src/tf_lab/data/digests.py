@@ -7,7 +7,6 @@ an unchanged capture reads nothing, and a copy of it elsewhere is the same.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,6 +18,7 @@ from tf_lab.data.readers.replica import PARAMETERS
 from tf_lab.errors import TFLabError
 from tf_lab.support.documents import read_json
 from tf_lab.support.files import write_json
+from tf_lab.support.hashes import hash_of
 from tf_lab.support.records import read_record
 
 RECORD = "sources.json"
@@ -45,7 +45,7 @@ class Sources:
     @property
     def digest(self) -> str:
         """A short hash of names and contents, the same wherever the capture lies."""
-        return hashlib.sha256(json.dumps(sorted(self.contents.items())).encode()).hexdigest()[:10]
+        return hash_of(sorted(self.contents.items()))
 
     def unchanged(self, source: Path) -> bool:
         """Whether the capture's files still have the same sizes and times."""

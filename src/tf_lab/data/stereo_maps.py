@@ -7,8 +7,6 @@ in its name. Training disturbs cameras; the maps are those that cameras as wrong
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
@@ -24,6 +22,7 @@ from tf_lab.stereo.depth import CHANNELS, SETTINGS, small_view, stereo_depth, st
 from tf_lab.stereo.sources import choose_sources
 from tf_lab.support.arrays import read_array
 from tf_lab.support.files import atomic_path, remove_abandoned
+from tf_lab.support.hashes import hash_of
 from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 
@@ -52,8 +51,7 @@ def prepare_stereo(scenes: Sequence[Path], noise: CameraNoise, workers: int | No
 
 def stereo_path(scene: Path, noise: CameraNoise) -> Path:
     """Where the maps of a scene lie."""
-    identity = json.dumps([stereo_identity(), asdict(noise)])
-    return scene / f"stereo-{hashlib.sha256(identity.encode()).hexdigest()[:10]}.npy"
+    return scene / f"stereo-{hash_of([stereo_identity(), asdict(noise)])}.npy"
 
 
 def write_stereo(directory: Path, noise: CameraNoise) -> None:

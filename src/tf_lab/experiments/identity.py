@@ -8,8 +8,6 @@ is the same training, other data in the same place is another.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from typing import Any
 from tf_lab.config.schema import TrainConfig
 from tf_lab.network.fusion import FUSIONS
 from tf_lab.online.views import POLICIES
+from tf_lab.support.hashes import hash_of
 from tf_lab.support.layout import RUNS, TRAININGS
 from tf_lab.support.settings import shaping
 
@@ -53,7 +52,7 @@ def evaluation_identity(config: TrainConfig) -> dict[str, Any]:
 
 def key_of(*identity: Any) -> str:
     """A short hash, the same for the same settings."""
-    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
+    return hash_of(identity, sort_keys=True)
 
 
 def training_directory(config: TrainConfig) -> Path:

@@ -38,7 +38,7 @@ from tf_lab.reporting.tables import (
     seed_table,
     settings_table,
 )
-from tf_lab.support.files import atomic_path, file_name
+from tf_lab.support.files import file_name, write_text
 from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, mesh_path, picture_path
 
 PICTURE = 900  # pixels across
@@ -57,10 +57,10 @@ def write_pages(
         figures: PNG files of this study, each with its caption beside it.
     """
     page = study_page(study, about, remarks, output / PICTURES, figures)
-    _write(output / "report.html", page)
+    write_text(output / "report.html", page)
     pages = {output / "pages" / f"{r.directory.name}.html": r for r in study.runs.values()}
     for path, run in pages.items():
-        _write(path, run_page(run))
+        write_text(path, run_page(run))
     for path in {*(output / "pages").glob("*.html")} - pages.keys():
         path.unlink()  # of another study's report
 
@@ -148,8 +148,3 @@ def _commands(study: Study) -> str:
 
 def _yaml(values: dict[str, object]) -> str:
     return yaml.safe_dump(values, sort_keys=False)
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

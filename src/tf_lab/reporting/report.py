@@ -21,7 +21,7 @@ from tf_lab.reporting.tables import (
     settings_table,
     views_table,
 )
-from tf_lab.support.files import atomic_path
+from tf_lab.support.files import write_text
 
 CHARTS = {"chart_views": views_chart, "chart_rows": rows_chart}
 
@@ -44,12 +44,12 @@ def write_report(study: Study, remarks: Sequence[str], output: Path) -> None:
             (output / f"{name}.csv", comma_separated),
         ):
             if any(table.groups):
-                _write(path, form(table))
+                write_text(path, form(table))
             else:
                 path.unlink(missing_ok=True)  # of another study's report
-    _write(output / "runs.csv", comma_separated(runs_table(study)))
-    _write(output / "tables.md", tables_page(study, remarks, list(pages.values())))
-    _write(output / "orderings.md", orderings_page(study, orderings))
+    write_text(output / "runs.csv", comma_separated(runs_table(study)))
+    write_text(output / "tables.md", tables_page(study, remarks, list(pages.values())))
+    write_text(output / "orderings.md", orderings_page(study, orderings))
     for name, draw in CHARTS.items():
         save_chart(draw(study), output / name)
 
@@ -92,8 +92,3 @@ def describe(study: Study) -> str:
     elif missing:
         text += f" Missing: {'; '.join(missing)}."
     return text
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from tf_lab.data import groundtruth
 from tf_lab.data.captures import (
@@ -24,6 +21,7 @@ from tf_lab.data.sources.settings import SPLITS, CapturesData, Content, Prepared
 from tf_lab.data.sources.source import DataSource, Prepared
 from tf_lab.errors import TFLabError
 from tf_lab.support.files import file_name
+from tf_lab.support.hashes import hash_of
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +89,7 @@ class PreparedSource(DataSource):
         scenes = self.scenes(*splits)
         table = {s: {name: path.name for name, path in scenes[s].items()} for s in splits}
         key = self.import_settings.key
-        digest = {s: _digest([key, *table[s].items()]) for s in splits}
+        digest = {s: hash_of([key, *table[s].items()], 16) for s in splits}
         versions = {"groundtruth": groundtruth.VERSION}
         return Content(versions, digest.get("train"), digest.get("test"), shards, scenes=table)
 
@@ -132,7 +130,3 @@ class CaptureSource(PreparedSource):
             message = "no capture in %s: the scenes prepared before are used, in %s"
             log.warning(message, self.root, self.folder)
             return found
-
-
-def _digest(values: Sequence[Any]) -> str:
-    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:16]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tf_lab.data import flats, groundtruth, rooms, scene
 from tf_lab.data.flats import generate_flat
@@ -18,58 +17,61 @@ from tf_lab.data.rooms.borrowed import NOTHING, Borrowed
 from tf_lab.data.rooms.catalogue import read_catalogue
 from tf_lab.data.rooms.photographs import read_photographs
 from tf_lab.data.scene import Frame, write_scene
-from tf_lab.data.sources.scene_jobs import SceneJob, build_scenes
+from tf_lab.data.sources.scene_jobs import build_scenes
 from tf_lab.data.sources.settings import SPLITS, Content, EmbeddedData, FlatsData, RoomsData
 from tf_lab.data.sources.source import ATTRIBUTION, DataSource, Prepared
 from tf_lab.errors import TFLabError
-from tf_lab.support.files import atomic_path, file_name
+from tf_lab.support.files import file_name, write_text
+from tf_lab.support.hashes import hash_of
 
 ALIKE = ("root", "width", "height", "workers", "furniture", "textures")  # of rooms beside flats
 FIRST_SEED = {"train": 0, "val": 1_000_000, "test": 2_000_000}  # splits never share a scene
 
 
-@dataclass(frozen=True)
-class EmbeddedSplit:
-    """How many scenes a split has, how they are filmed, and what of them others made."""
-
-    size: int
-    settings: RoomSettings
-    borrowed: Borrowed = NOTHING
-
-
-@dataclass(frozen=True)
-class EmbeddedSet:
-    """A data set that is made from seeds.
+class EmbeddedSource(DataSource):
+    """Scenes that are made from seeds, of which none can fail.
 
     Attributes:
         name: of the data group; a plural.
         version: changes whenever the output for the same seed does.
-        generate: films the scene of a seed.
     """
 
-    name: str
-    version: int
-    generate: Callable[[int, RoomSettings, Borrowed], Iterator[Frame]]
+    name: ClassVar[str]
+    version: ClassVar[int]
+    settings: EmbeddedData
 
-    def scene_name(self, seed: int) -> str:
+    @abstractmethod
+    def film(self, seed: int, settings: RoomSettings, borrowed: Borrowed) -> Iterator[Frame]:
+        """The frames of the scene of a seed."""
+
+    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
+        """See `DataSource`."""
+        scenes: dict[str, dict[str, Path]] = {}
+        builders, lines = {}, []
+        for split in splits:
+            borrowed = self._borrowed(split)
+            folder = self._folder(split, borrowed)
+            seeds = range(FIRST_SEED[split], FIRST_SEED[split] + self._size(split))
+            made = {seed: folder / self._scene_name(seed) for seed in seeds}
+            scenes[split] = {path.name: path for path in made.values()}
+            for seed, path in made.items():
+                builders[path] = partial(self._build, seed, self._filming(split), borrowed)
+            if made:
+                self._attribute(folder.parent, borrowed)
+                lines.append(f"{split}: {len(made)} {self.name} in {folder}")
+        build_scenes(builders, f"rendering {self.name}", self.settings.workers)
+        return Prepared(scenes, {}, "\n".join(lines))
+
+    def _scene_name(self, seed: int) -> str:
         """As in ``room_0000003``."""
         return f"{self.name.removesuffix('s')}_{seed:07d}"
 
-    def directory(
-        self,
-        root: Path,
-        split: str,
-        index: int,
-        settings: RoomSettings,
-        borrowed: Borrowed = NOTHING,
-    ) -> Path:
-        """Where a scene lies: all that shapes it is in the path, so a cache never goes stale."""
+    def _folder(self, split: str, borrowed: Borrowed) -> Path:
+        """Where a split's scenes lie; the path says what shapes them: a cache is never stale."""
         shaped: list[Any] = [self.version, scene.FORMAT, groundtruth.VERSION]
-        shaped += [asdict(settings), asdict(GroundTruthSettings())]
+        shaped += [asdict(self._filming(split)), asdict(GroundTruthSettings())]
         shaped += borrowed.identity
-        identity = json.dumps(shaped)
-        key = hashlib.sha256(identity.encode()).hexdigest()[:10]
-        return root / f"{self.name}-{key}" / split / self.scene_name(FIRST_SEED[split] + index)
+        return self.root / f"{self.name}-{hash_of(shaped)}" / split
 
     def _build(
         self, seed: int, settings: RoomSettings, borrowed: Borrowed, directory: Path
@@ -82,65 +84,15 @@ class EmbeddedSet:
             **asdict(settings),
             **({"borrowed": borrowed.identity} if borrowed.identity else {}),
         }
-        frames = self.generate(seed, settings, borrowed)
-        made = write_scene(directory, frames, provenance, name=self.scene_name(seed))
+        frames = self.film(seed, settings, borrowed)
+        made = write_scene(directory, frames, provenance, name=self._scene_name(seed))
         write_groundtruth(made, made.groundtruth, GroundTruthSettings())
-
-    def prepare(
-        self, root: Path, splits: Mapping[str, EmbeddedSplit], workers: int | None = None
-    ) -> dict[str, list[Path]]:
-        """Render what is missing and return the scene directories of each split.
-
-        Args:
-            root: the cache.
-            splits: by name: "train", "val", "test".
-            workers: processes; None: one a core.
-        """
-        found: dict[str, list[Path]] = {}
-        jobs = []
-        for split, wanted in splits.items():
-            film = wanted.settings, wanted.borrowed
-            found[split] = [self.directory(root, split, i, *film) for i in range(wanted.size)]
-            for seed, directory in enumerate(found[split], FIRST_SEED[split]):
-                jobs.append(SceneJob(directory, partial(self._build, seed, *film)))
-            if found[split]:
-                self._attribute(found[split][0].parent.parent, wanted.borrowed)
-        build_scenes(jobs, f"rendering {self.name}", workers)
-        return found
 
     def _attribute(self, directory: Path, borrowed: Borrowed) -> None:
         """Say beside the scenes whose models and photographs are in them."""
         text = borrowed.attribution()
         if text is not None and not (directory / ATTRIBUTION).exists():
-            directory.mkdir(parents=True, exist_ok=True)
-            with atomic_path(directory / ATTRIBUTION) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-
-
-ROOMS = EmbeddedSet("rooms", rooms.VERSION, generate_room)
-FLATS = EmbeddedSet("flats", flats.VERSION, generate_flat)
-
-
-class EmbeddedSource(DataSource):
-    """Scenes of an embedded set, of which none can fail."""
-
-    made: EmbeddedSet
-    settings: EmbeddedData
-
-    def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
-        """See `DataSource`."""
-        wanted = {
-            split: EmbeddedSplit(self._size(split), self._filming(split), self._borrowed(split))
-            for split in splits
-        }
-        found = self.made.prepare(self.root, wanted, self.settings.workers)
-        scenes = {split: {path.name: path for path in paths} for split, paths in found.items()}
-        lines = [
-            f"{split}: {len(paths)} {self.made.name} in {paths[0].parent}"
-            for split, paths in found.items()
-            if paths
-        ]
-        return Prepared(scenes, {}, "\n".join(lines))
+            write_text(directory / ATTRIBUTION, text)
 
     def has(self, split: str) -> bool:
         """See `DataSource`."""
@@ -148,7 +100,7 @@ class EmbeddedSource(DataSource):
 
     def content(self, splits: Sequence[str] = SPLITS) -> Content:
         """See `DataSource`."""
-        versions = {"groundtruth": groundtruth.VERSION, self.made.name: self.made.version}
+        versions = {"groundtruth": groundtruth.VERSION, self.name: self.version}
         if "train" not in splits:
             return Content(versions)
         furniture, textures = None, None
@@ -161,8 +113,7 @@ class EmbeddedSource(DataSource):
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
-        known = self.made.directory(self.root, "test", 0, self._filming("test"))
-        return known.with_name(file_name(name))
+        return self._folder("test", NOTHING) / file_name(name)
 
     def _size(self, split: str) -> int:
         s = self.settings
@@ -196,14 +147,22 @@ class EmbeddedSource(DataSource):
 class RoomSource(EmbeddedSource):
     """Synthetic rooms."""
 
-    made = ROOMS
+    name, version = "rooms", rooms.VERSION
+
+    def film(self, seed: int, settings: RoomSettings, borrowed: Borrowed) -> Iterator[Frame]:
+        """See `EmbeddedSource`."""
+        return generate_room(seed, settings, borrowed)
 
 
 class FlatSource(EmbeddedSource):
     """Synthetic flats, and single rooms beside them where training asks for it."""
 
-    made = FLATS
+    name, version = "flats", flats.VERSION
     settings: FlatsData
+
+    def film(self, seed: int, settings: RoomSettings, borrowed: Borrowed) -> Iterator[Frame]:
+        """See `EmbeddedSource`."""
+        return generate_flat(seed, settings, borrowed)
 
     def prepare(self, splits: Sequence[str], check: bool = False) -> Prepared:
         """See `DataSource`."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -13,46 +12,41 @@ from tf_lab.support.files import atomic_directory, remove_abandoned
 from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 
-
-@dataclass(frozen=True)
-class SceneJob:
-    """A scene to build: its final directory, and what writes it into a temporary one."""
-
-    directory: Path
-    build: Callable[[Path], None]
+Builder = Callable[[Path], None]
 
 
-def build_scenes(jobs: Sequence[SceneJob], title: str, workers: int | None) -> None:
+def build_scenes(builders: Mapping[Path, Builder], title: str, workers: int | None) -> None:
     """Build the scenes that do not exist yet, one process a scene.
 
     Args:
-        jobs: the scenes; existing directories are kept as they are.
+        builders: by a scene's directory, what writes it into a temporary one; existing directories
+            are kept as they are.
         title: for the progress bar.
         workers: processes; None: one a core.
 
     Raises:
         TFLabError: some scenes failed (after all others were built); names them.
     """
-    missing = _missing(jobs)
+    missing = _missing(builders)
     if not missing:
         return
     with contextlib.ExitStack() as locks:
-        for folder in sorted({job.directory.parent for job in missing}):
+        for folder in sorted({directory.parent for directory in missing}):
             locks.enter_context(directory_lock(folder, "preparing"))
             remove_abandoned(folder)
-        tasks = {job.directory.name: partial(_build, job) for job in _missing(jobs)}
+        tasks = {d.name: partial(_build, d, builders[d]) for d in _missing(builders)}
         failed = run_tasks(tasks, title, workers) if tasks else {}
     if failed:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
-        raise TFLabError(f"{len(failed)} of {len(jobs)} scenes failed: {reasons}")
+        raise TFLabError(f"{len(failed)} of {len(builders)} scenes failed: {reasons}")
 
 
-def _missing(jobs: Sequence[SceneJob]) -> list[SceneJob]:
-    return [job for job in jobs if not job.directory.is_dir()]
+def _missing(directories: Iterable[Path]) -> list[Path]:
+    return [directory for directory in directories if not directory.is_dir()]
 
 
-def _build(job: SceneJob) -> None:
-    if job.directory.is_dir():  # another process was faster
+def _build(directory: Path, builder: Builder) -> None:
+    if directory.is_dir():  # another process was faster
         return
-    with atomic_directory(job.directory) as temporary:
-        job.build(temporary)
+    with atomic_directory(directory) as temporary:
+        builder(temporary)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import replace
 from typing import Any
 
 from tf_lab.data.sources.settings import SPLITS, Content
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
+from tf_lab.support.hashes import hash_of
 
 
 def content_of(data: Any, test_on: Any | None = None) -> Content:
@@ -38,6 +37,5 @@ def content_of(data: Any, test_on: Any | None = None) -> Content:
                 f"the training, as by data.test=[{twin}], or test on another"
             )
     # what makes its scenes is no part of the training's versions, which shape weights
-    found = json.dumps([tested.versions, tested.test], sort_keys=True)
-    digest = hashlib.sha256(found.encode()).hexdigest()[:16]
+    digest = hash_of([tested.versions, tested.test], 16, sort_keys=True)
     return replace(trained, test=digest, scenes={**trained.scenes, "test": scenes})

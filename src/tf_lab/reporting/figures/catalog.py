@@ -13,7 +13,7 @@ from tf_lab.reporting.figures.rooms import room
 from tf_lab.reporting.figures.runtimes import runtimes
 from tf_lab.reporting.figures.views import best_views, selected_views
 from tf_lab.support.figures import write_figure
-from tf_lab.support.files import atomic_path
+from tf_lab.support.files import write_text
 from tf_lab.support.progress import progress_bar
 
 Draw = Callable[[Material], Drawn]
@@ -71,6 +71,5 @@ def _write(drawn: Drawn, path: Path) -> list[Path]:
         save_chart(drawn.figure, path)
     else:
         write_figure(drawn.figure, path.with_suffix(".png"))
-    with atomic_path(path.with_suffix(".txt")) as temporary:
-        temporary.write_text(drawn.caption + "\n", encoding="utf-8")
+    write_text(path.with_suffix(".txt"), drawn.caption + "\n")
     return [path.with_suffix(s) for s in ((".png", ".pdf") if drawn.chart else (".png",))]
