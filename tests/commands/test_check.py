@@ -12,9 +12,10 @@ from helpers.injections import INJECTIONS
 from helpers.layouts import plain, room_frames
 from helpers.tiny_jobs import call
 from tf_lab.commands.check import lines
-from tf_lab.data.captures import ImportSettings, PreparedCaptures, import_capture, summarise
 from tf_lab.data.diagnosis.sensors import Sensors
 from tf_lab.data.diagnosis.verdict import FINE, Report
+from tf_lab.data.import_capture import ImportSettings, import_capture
+from tf_lab.data.prepare_captures import PreparedCaptures, summarise
 from tf_lab.data.reading import ReadSettings
 
 DOWN = "gravity=[0,0,-1]"

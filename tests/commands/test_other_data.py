@@ -60,7 +60,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
                 failed[name] = str(error)
         return failed
 
-    monkeypatch.setattr("tf_lab.data.captures.run_tasks", run)
+    monkeypatch.setattr("tf_lab.data.prepare_captures.run_tasks", run)
 
 
 def arguments(root: Path) -> tuple[str, ...]:
@@ -179,7 +179,7 @@ def test_touched_captures_are_not_made_again(
 ) -> None:
     first = directories(root)
     monkeypatch.setattr(
-        "tf_lab.data.captures.import_capture", lambda *_, **__: pytest.fail("made again")
+        "tf_lab.data.prepare_captures.import_capture", lambda *_, **__: pytest.fail("made again")
     )
     for path in root.glob("*/*.txt"):
         os.utime(path)

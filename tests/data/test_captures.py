@@ -10,16 +10,10 @@ import pytest
 import trimesh
 
 from helpers.layouts import plain, room_frames, sens, seven_scenes
-from tf_lab.data import captures
-from tf_lab.data.captures import (
-    ImportSettings,
-    find_captures,
-    import_capture,
-    names_of,
-    prepare_captures,
-    summarise,
-)
+from tf_lab.data import prepare_captures as preparing
 from tf_lab.data.groundtruth import GroundTruth
+from tf_lab.data.import_capture import ImportSettings, import_capture
+from tf_lab.data.prepare_captures import find_captures, names_of, prepare_captures, summarise
 from tf_lab.data.readers import detect_format, open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Scene
@@ -219,7 +213,7 @@ def test_a_root_with_other_things_in_it(
             raise PermissionError(13, "Permission denied", str(path))
         return detect_format(path)
 
-    monkeypatch.setattr(captures, "detect_format", refusing)
+    monkeypatch.setattr(preparing, "detect_format", refusing)
     assert find_captures(tmp_path) == {
         "kitchen": tmp_path / "kitchen",
         "kitchen.sens": tmp_path / "kitchen.sens",

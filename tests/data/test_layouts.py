@@ -14,7 +14,7 @@ from tf_lab.data.scene import write_scene
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.online.captures import reconstruct
+from tf_lab.online.reconstruction import reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 
 every_layout = pytest.mark.parametrize("layout", list(LAYOUTS))

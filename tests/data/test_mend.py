@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.layouts import LAYOUTS, room_frames
 from tf_lab.data.capture import Capture
-from tf_lab.data.captures import ImportSettings
+from tf_lab.data.import_capture import ImportSettings
 from tf_lab.data.readers import open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame

@@ -9,7 +9,7 @@ import trimesh
 
 from helpers import box_room
 from helpers.layouts import plain
-from tf_lab.data.captures import ImportSettings, import_capture
+from tf_lab.data.import_capture import ImportSettings, import_capture
 from tf_lab.data.readers import open_capture
 from tf_lab.data.reading import ReadSettings
 from tf_lab.data.scene import Frame, Scene

@@ -37,7 +37,7 @@ SCANS = {
 def no_processes() -> Iterator[None]:
     """Scenes are made in this process: starting others takes longer than making so small ones."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("tf_lab.support.tasks", "tf_lab.data.captures"):
+        for module in ("tf_lab.support.tasks", "tf_lab.data.prepare_captures"):
             patch.setattr(f"{module}.run_tasks", small_shards.run_here)
         yield
 

@@ -16,7 +16,7 @@ from tf_lab.benchmarks.rooms import Rooms, walk
 from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.online import Reconstructor
-from tf_lab.online.captures import reconstruct as reconstruct_capture
+from tf_lab.online.reconstruction import reconstruct as reconstruct_capture
 from tf_lab.online.views.selection import AttentionSelection, RandomSelection, SelectionPolicy
 from tf_lab.online.views.store import ViewStore
 

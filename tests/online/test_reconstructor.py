@@ -36,7 +36,7 @@ from tf_lab.geometry import VoxelGrid
 from tf_lab.network.chunks import Views
 from tf_lab.network.network import Network
 from tf_lab.network.refinement import ResidualBlock3d
-from tf_lab.online import captures
+from tf_lab.online import reconstruction
 from tf_lab.online.decode import Decoder
 from tf_lab.online.lattice import sparse
 from tf_lab.online.lattice.level import Level
@@ -82,7 +82,7 @@ def test_keyframes_are_as_far_apart_as_told(tiny_network: Factory, scene: Scene)
     network = tiny_network()
     for distance in (0.1, 1.5):
         settings = ReconstructionSettings(keyframe_distance=distance)
-        found = captures.reconstruct(network, scene, settings, color=False)
+        found = reconstruction.reconstruct(network, scene, settings, color=False)
         assert found.keyframes == select_keyframes(scene.world_T_cam, distance)
     assert len(found.keyframes) < len(scene)
 

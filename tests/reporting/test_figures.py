@@ -17,8 +17,8 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry import FINE
 from tf_lab.meshes import raycast
 from tf_lab.meshes.files import read_mesh
-from tf_lab.online.captures import Reconstruction
 from tf_lab.online.kept import best_frames
+from tf_lab.online.reconstruction import Reconstruction
 from tf_lab.reporting import paper
 from tf_lab.reporting.figures import meshes, views
 from tf_lab.reporting.figures.catalog import FIGURES, draw_figures

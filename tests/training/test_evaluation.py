@@ -20,7 +20,7 @@ from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.evaluation.scores import mean_scores
 from tf_lab.evaluation.settings import NormalsSettings
 from tf_lab.meshes.files import read_mesh
-from tf_lab.online.captures import Reconstruction
+from tf_lab.online.reconstruction import Reconstruction
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.training import evaluation
 from tf_lab.training.datamodule import SceneDataModule

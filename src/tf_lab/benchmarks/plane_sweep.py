@@ -22,7 +22,7 @@ from tf_lab.data.keyframes import select_keyframes
 from tf_lab.data.tsdf import bounds_of, extract_mesh, fuse_in_slabs, join
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import VoxelGrid, invert_pose, pixel_directions, project, transform
-from tf_lab.online.captures import Reconstruction
+from tf_lab.online.reconstruction import Reconstruction
 from tf_lab.stereo.cost import View, sweep
 from tf_lab.stereo.sources import choose_sources
 

@@ -23,7 +23,7 @@ from tf_lab.errors import TFLabError
 from tf_lab.evaluation.protocol import evaluate_scene
 from tf_lab.meshes.files import read_mesh
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
-from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.reconstruction import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.reporting.figures.catalog import draw_figures
 from tf_lab.reporting.figures.contract import Compared, Material, Shown

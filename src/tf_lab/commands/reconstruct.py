@@ -28,7 +28,7 @@ from tf_lab.meshes.files import read_mesh, write_mesh
 from tf_lab.meshes.glb import glb_of
 from tf_lab.network.checkpoint import load_network, shipped_checkpoint
 from tf_lab.network.network import Network
-from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.reconstruction import Reconstruction, reconstruct
 from tf_lab.poses.refined import Refined
 from tf_lab.support.devices import device_of
 from tf_lab.support.files import atomic_path, check_file, file_name, told_apart

@@ -20,7 +20,7 @@ from tf_lab.evaluation.pictures import compare
 from tf_lab.evaluation.protocol import PROTOCOL, PublishedGroundTruth, read_groundtruth
 from tf_lab.evaluation.scores import Scores
 from tf_lab.meshes.files import write_mesh
-from tf_lab.online.captures import Reconstruction
+from tf_lab.online.reconstruction import Reconstruction
 from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.online.views.statistics import ViewSets, view_sets
 from tf_lab.support.files import atomic_path, file_name, write_json

@@ -29,7 +29,7 @@ from tf_lab.evaluation.scenes import (
 from tf_lab.evaluation.scores import Scores
 from tf_lab.experiments.provenance import code_version
 from tf_lab.network.network import Network
-from tf_lab.online.captures import Reconstruction, reconstruct
+from tf_lab.online.reconstruction import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import EvaluationProgress

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tf_lab.data import groundtruth
-from tf_lab.data.captures import (
-    ImportSettings,
+from tf_lab.data.import_capture import ImportSettings
+from tf_lab.data.prepare_captures import (
     PreparedCaptures,
     find_captures,
     names_of,

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from tf_lab.data.captures import scene_of
+from tf_lab.data.prepare_captures import scene_of
 from tf_lab.data.scannet_splits import find_scene, official_mesh, split_scenes
 from tf_lab.data.sources.captures import PreparedSource
 from tf_lab.data.sources.settings import ScanNetData

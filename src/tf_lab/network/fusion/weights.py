@@ -24,16 +24,6 @@ def weights_from_logits(logits: Tensor, slots: Tensor | None) -> Tensor:
     return weights.masked_fill(~slots, 0.0)  # also where no slot is filled: softmax gives NaN
 
 
-def lowest_weight(logits: Tensor) -> Tensor:
-    """Which of its views [M, K, H] each voxel gives the lowest weight, of equals the first: [M].
-
-    As `weights_from_logits` has them, but for rounding. With the voxels last, which are many, a
-    CPU takes a third of the time.
-    """
-    views_first = logits.flatten(1).T.contiguous().float().unflatten(0, logits.shape[1:])
-    return torch.softmax(views_first, dim=0).mean(1).min(dim=0).indices
-
-
 def weighted_sum(features: Tensor, weights: Tensor) -> Tensor:
     """sum_i w_i x_i over the views: [..., K, D], [..., K] -> [..., D]."""
     return torch.einsum("...kd,...k->...d", features, weights.to(features.dtype))

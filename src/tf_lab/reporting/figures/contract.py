@@ -12,7 +12,7 @@ import trimesh
 from tf_lab.data.capture import Capture
 from tf_lab.errors import TFLabError
 from tf_lab.meshes.raycast import overview_camera
-from tf_lab.online.captures import Reconstruction
+from tf_lab.online.reconstruction import Reconstruction
 from tf_lab.reporting.studies import Study
 
 if TYPE_CHECKING:

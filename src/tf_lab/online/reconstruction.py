@@ -1,4 +1,4 @@
-"""Captures to meshes, and meshes to scores: what training's tests and the commands share."""
+"""A capture to a mesh: what the commands, and the tests of a training, do."""
 
 from __future__ import annotations
 
