@@ -21,6 +21,14 @@ OPTIONS: dict[tuple[str, str], type] = {
     ("trainer", "auto"): TrainerSettings,
 }
 """Options of groups that are no parts, as schemas."""
+COMMAND = {
+    "defaults": [
+        {"override /hydra/job_logging": "stdout"},
+        {"override /hydra/hydra_logging": "none"},
+    ],
+    "hydra": {"output_subdir": None, "run": {"dir": "."}},
+}
+"""Of all commands: they log to the terminal, do not change the folder, and leave nothing in it."""
 
 
 def register() -> None:
@@ -36,6 +44,7 @@ def register() -> None:
 def _store(known: tuple[Part, ...]) -> None:
     """Store all schemas, once for the parts that are known."""
     store = ConfigStore.instance()
+    store.store(group="schema", name="command", node=COMMAND, package="_global_")
     for name, schema in CONFIGS.items():
         store.store(group="schema", name=name, node=node_of(schema))
     for (group, option), settings in OPTIONS.items():

@@ -21,7 +21,7 @@ from tf_lab.online.views.batch import BatchSelection
 from tf_lab.training.evaluation import SceneEvaluation
 from tf_lab.training.known_maps import KnownMaps
 from tf_lab.training.losses import losses, mean_over_processes
-from tf_lab.training.schedule import learning_rate_factor
+from tf_lab.training.schedule import learning_rate_factor, scheduled
 
 
 class Training(SceneEvaluation):
@@ -90,11 +90,7 @@ class Training(SceneEvaluation):
             {"params": encoder, "lr": s.lr * s.encoder_factor},
         ]
         adam = torch.optim.Adam(groups, s.lr, s.betas, s.eps, s.weight_decay)
-        schedule = torch.optim.lr_scheduler.LambdaLR(adam, partial(learning_rate_factor, s))
-        return {
-            "optimizer": adam,
-            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
-        }
+        return scheduled(adam, partial(learning_rate_factor, s))
 
 
 def kept_by(batch: ChunkBatch) -> BatchSelection | None:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from tf_lab.data.pairs import PairBatch
 from tf_lab.geometry import covered_pixels, sample_maps
 from tf_lab.network.encoders.pyramid import Encoder
-from tf_lab.training.schedule import warm_cosine
+from tf_lab.training.schedule import scheduled, warm_cosine
 
 APART = 1.5  # candidates nearer to the truth than this many strides are not wrong enough
 
@@ -127,6 +127,4 @@ class Matching(L.LightningModule):
         groups: list[dict[str, Any]] = [{"params": list(self.encoder.pyramid_parameters())}]
         groups += [{"params": trunk, "lr": self.lr * self.trunk_factor}] if trunk else []
         adam = torch.optim.Adam(groups, self.lr)
-        factor = partial(warm_cosine, steps=self.steps)
-        schedule = torch.optim.lr_scheduler.LambdaLR(adam, factor)
-        return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        return scheduled(adam, partial(warm_cosine, steps=self.steps))

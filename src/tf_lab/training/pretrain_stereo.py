@@ -13,7 +13,7 @@ from torch import Tensor
 from tf_lab.data.plane_sweeps import SweepBatch
 from tf_lab.stereo.depth import StereoSettings
 from tf_lab.stereo.regularizer import Regularizer, read_depth
-from tf_lab.training.schedule import warm_cosine
+from tf_lab.training.schedule import scheduled, warm_cosine
 
 DISTANCE_WEIGHT = 2.0  # of the error of the mean logarithm beside the cross-entropy
 WITHIN = {"5cm": 0.05, "10cm": 0.1}
@@ -96,6 +96,4 @@ class DepthTraining(L.LightningModule):
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """AdamW, short warm-up, cosine to zero."""
         adam = torch.optim.AdamW(self.regularizer.parameters(), self.lr, weight_decay=1e-2)
-        factor = partial(warm_cosine, steps=self.steps)
-        schedule = torch.optim.lr_scheduler.LambdaLR(adam, factor)
-        return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        return scheduled(adam, partial(warm_cosine, steps=self.steps))

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 
 from tf_lab.config.groups import OptimizerSettings
 
@@ -25,6 +29,14 @@ def learning_rate_factor(settings: OptimizerSettings, step: int) -> float:
         return min(warm, (settings.steps - step) / max(1, DECAY * settings.steps))
     done = max(0, step - settings.warmup) / max(1, settings.steps - settings.warmup)
     return warm * half_cosine(min(1.0, done))
+
+
+def scheduled(
+    optimizer: torch.optim.Optimizer, factor: Callable[[int], float]
+) -> OptimizerLRScheduler:
+    """An optimizer whose learning rate is its peak times a factor of the step, for Lightning."""
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, factor)
+    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
 def warm_cosine(step: int, steps: int) -> float:
