@@ -161,6 +161,8 @@ def test_options_change_the_keys_as_their_settings_do() -> None:
 def test_whatever_changes_the_batch_makes_a_new_training() -> None:
     for option in ("trainer.devices=2", "+trainer.others.accumulate_grad_batches=2"):
         assert keys(composed(option))[0] != keys(DEFAULT)[0], option
+    assert keys(composed("trainer.devices=[1]"))[0] == keys(DEFAULT)[0]  # another GPU
+    assert keys(composed("trainer.devices=[0,3]"))[0] == keys(composed("trainer.devices=2"))[0]
 
 
 def test_a_callback_that_may_change_the_weights_makes_a_new_training() -> None:

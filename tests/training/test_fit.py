@@ -13,30 +13,13 @@ from lightning.pytorch.callbacks import Callback
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+from helpers.line import CPU, Line, Numbers
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
 from tf_lab.experiments.provenance import sessions_of
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.datamodule import batches_done
 from tf_lab.training.fit import FitSettings, fit, rank_zero_lock
-
-CPU = TrainerSettings(accelerator="cpu", workers=0)
-
-
-class Line(L.LightningModule):
-    """Learns a slope; remembers the batches that it was given."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.slope = torch.nn.Parameter(torch.zeros(1))
-        self.seen: list[float] = []
-
-    def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:
-        self.seen.append(float(batch))
-        return (self.slope * batch - 2 * batch).square().sum()
-
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        return torch.optim.SGD(self.parameters(), 0.01)
 
 
 class Greedy(Line):
@@ -50,15 +33,6 @@ class Greedy(Line):
         if batch_idx == 2:
             raise self.error
         return super().training_step(batch, batch_idx)
-
-
-class Numbers(L.LightningDataModule):
-    """The number of every step."""
-
-    def train_dataloader(self) -> DataLoader[float]:
-        assert self.trainer is not None
-        numbers = [float(step) for step in range(self.trainer.global_step, 100)]
-        return DataLoader(numbers, batch_size=None)  # type: ignore[arg-type]
 
 
 class StopAt(Callback):

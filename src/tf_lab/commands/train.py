@@ -32,11 +32,12 @@ from tf_lab.support.files import check_folder, write_json
 from tf_lab.support.headers import read_info
 from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, WEIGHTS
 from tf_lab.training.callbacks import TrainingSessions
+from tf_lab.training.clusters import is_helper
 from tf_lab.training.curves import loss_curve
 from tf_lab.training.datamodule import SceneDataModule
 from tf_lab.training.evaluation import SceneEvaluation, evaluate_network, first_says
 from tf_lab.training.evaluation_log import log_run
-from tf_lab.training.fit import FitSettings, fit, is_helper, rank_zero_lock
+from tf_lab.training.fit import FitSettings, fit, rank_zero_lock
 from tf_lab.training.initial import (
     check_state,
     initial_path,

@@ -35,6 +35,9 @@ def training_identity(config: TrainConfig) -> dict[str, Any]:
     if config.content.shards is not None:  # in the place of scenes
         identity["loaders"] = max(1, config.trainer.workers)  # each reads a part
         identity["data"] = {k: v for k, v in identity["data"].items() if k not in OF_SCENES}
+    devices = config.trainer.devices
+    if isinstance(devices, list):  # which ones: how many is what counts
+        identity["trainer"]["devices"] = len(devices)
     callbacks = [c for c in config.callbacks.values() if c.get("_target_") not in WATCHING]
     return {**identity, "callbacks": callbacks} if callbacks else identity
 

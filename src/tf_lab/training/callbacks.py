@@ -11,6 +11,7 @@ from rich.progress import Progress, TaskID
 
 from tf_lab.experiments.provenance import commits_of, provenance
 from tf_lab.support.progress import Once, Pace, progress_bar
+from tf_lab.training.clusters import is_helper
 
 SHOWN = 0.5  # seconds between looks at the losses, for which a GPU has to be waited for
 
@@ -141,7 +142,7 @@ class TrainingSessions(Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Go on; say so if another code began."""
         self.earlier = state_dict["sessions"]
-        if any(past["code"] != self.origin["code"] for past in self.earlier):
+        if not is_helper() and any(e["code"] != self.origin["code"] for e in self.earlier):
             print(f"note: another code began this training (commit {commits_of(self.earlier)})")
 
     def summary(self) -> dict[str, Any]:

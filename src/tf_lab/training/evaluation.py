@@ -33,6 +33,7 @@ from tf_lab.online.reconstruction import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import EvaluationProgress
+from tf_lab.training.clusters import check_processes, cluster_plugins
 
 
 def scene_loader(scenes: Sequence[Path], trainer: L.Trainer | None) -> DataLoader[Path | None]:
@@ -190,6 +191,8 @@ def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices:
     module.tell = progress.tell
     trainer = L.Trainer(
         **devices,
+        default_root_dir=module.run,
+        plugins=cluster_plugins(),
         callbacks=[progress],
         logger=False,
         enable_checkpointing=False,
@@ -198,6 +201,7 @@ def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices:
         use_distributed_sampler=False,
         inference_mode=False,  # as outside Lightning
     )
+    check_processes(trainer)
     with as_parent(deaf=False):  # of the other processes of a distributed test
         trainer.test(module, datamodule=SceneSplit(scenes), verbose=False)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,6 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from tf_lab.config.groups import TrainerSettings
 from tf_lab.errors import TFLabError
@@ -25,6 +25,7 @@ from tf_lab.support.locks import LOCK, NOTE, directory_lock
 from tf_lab.support.memory import telling_no_memory
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress
+from tf_lab.training.clusters import check_processes, cluster_plugins, is_helper
 from tf_lab.training.finite import Finite
 from tf_lab.training.objects import instantiated
 from tf_lab.training.state import read_state
@@ -53,11 +54,6 @@ class FitSettings:
     clip: float = 0.0
     identity: str | None = None
     less: str = ""
-
-
-def is_helper() -> bool:
-    """Whether this is a process of a distributed training other than the first."""
-    return getattr(rank_zero_only, "rank", 0) > 0
 
 
 @contextlib.contextmanager
@@ -124,7 +120,7 @@ def fit(
     last = directory / LAST
     resumes = last.exists() and _is_ours(last, settings.identity, module)
     state = last if resumes else start()
-    if state is not None:
+    if state is not None and not is_helper():
         print(f"{'resuming' if resumes else 'going on from'} {state}")
     others = as_parent(deaf=False)  # of the other processes of a distributed training
     cures = [*filter(None, [settings.less]), "trainer.precision=16-mixed on a GPU"]
@@ -144,8 +140,9 @@ def score(
     module: L.LightningModule, data: Callable[[], L.LightningDataModule], trainer: TrainerSettings
 ) -> dict[str, Any]:
     """What the validation of a module logs; nothing is trained or written."""
-    made = _trainer(Path(), trainer, FitSettings(1, 1, 1), [], [])
-    made.validate(module, data(), verbose=False)
+    with tempfile.TemporaryDirectory() as nowhere:
+        made = _trainer(Path(nowhere), trainer, FitSettings(1, 1, 1), [], [])
+        made.validate(module, data(), verbose=False)
     return dict(made.callback_metrics)
 
 
@@ -245,7 +242,8 @@ def _trainer(
     batches = every * trainer.others.get("accumulate_grad_batches", 1)
     accelerator = accelerator_of(trainer.accelerator)
     try:
-        return L.Trainer(
+        made = L.Trainer(
+            default_root_dir=directory,
             max_steps=settings.steps,
             max_time=trainer.max_time,
             val_check_interval=batches or None,
@@ -254,7 +252,7 @@ def _trainer(
             num_sanity_val_steps=0,
             gradient_clip_val=settings.clip or None,
             callbacks=[*always, *identity, *callbacks, TrainingProgress()],
-            plugins=[AtomicSaves()],
+            plugins=[AtomicSaves(), *cluster_plugins()],
             logger=list(loggers),
             log_every_n_steps=5,
             enable_progress_bar=False,
@@ -268,3 +266,5 @@ def _trainer(
         )
     except (MisconfigurationException, ImportError, TypeError, ValueError) as error:
         raise TFLabError(f"trainer: {error}; see the files in conf/trainer") from error
+    check_processes(made)
+    return made

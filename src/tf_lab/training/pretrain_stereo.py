@@ -67,7 +67,8 @@ class DepthTraining(L.LightningModule):
     def training_step(self, batch: SweepBatch, batch_idx: int) -> Tensor:
         """The loss of a batch."""
         logits = self.regularizer(batch.scores)
-        loss = depth_loss(logits.float(), batch.depth, self.settings)
+        with torch.autocast(self.device.type, enabled=False):  # bfloat16 has 3 digits
+            loss = depth_loss(logits.float(), batch.depth, self.settings)
         self.log("train/loss", loss.detach())
         return loss
 
@@ -79,7 +80,9 @@ class DepthTraining(L.LightningModule):
         scores, truth, settings = batch.scores, batch.depth, self.settings
         inverse = torch.from_numpy(settings.inverse).to(scores)
         logits = self.regularizer(scores).float()
-        depth, confidence = read_depth(logits, inverse)
+        with torch.autocast(self.device.type, enabled=False):
+            depth, confidence = read_depth(logits, inverse)
+            loss = depth_loss(logits, truth, settings)
         known = (truth > settings.near) & (truth < settings.far)
         if not known.any():
             return
@@ -89,7 +92,7 @@ class DepthTraining(L.LightningModule):
         terms["raw_within_5cm"] = (raw < WITHIN["5cm"]).float().mean()
         terms["median"] = error.median()
         terms["confidence"] = confidence[known].mean()
-        terms["loss"] = depth_loss(logits, truth, settings)
+        terms["loss"] = loss
         named = {f"{self.sets[dataloader_idx]}/{k}": v for k, v in terms.items()}
         self.log_dict(named, batch_size=1, add_dataloader_idx=False)
 

@@ -1,0 +1,56 @@
+"""Who begins the processes of a training: as Lightning finds out, less two surprises of Slurm."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import lightning as L
+from lightning.fabric.plugins.environments import (
+    LightningEnvironment,
+    SLURMEnvironment,
+    TorchElasticEnvironment,
+)
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+
+from tf_lab.errors import TFLabError
+
+
+def is_helper() -> bool:
+    """Whether this is a process of a distributed training other than the first."""
+    return getattr(rank_zero_only, "rank", 0) > 0
+
+
+def cluster_plugins() -> list[Any]:
+    """Plugins of a trainer, by which Slurm does neither of these.
+
+    At Slurm's signal Lightning would write a checkpoint of its own, of whatever is trained, and
+    load it into whatever is trained or tested later; ours are resumed without. In a job of one
+    task it would train on one device, whatever is asked for; so that task begins the processes.
+
+    Raises:
+        TFLabError: Slurm's job is of a kind that Lightning does not take.
+    """
+    if TorchElasticEnvironment.detect() or not SLURMEnvironment.detect():
+        return []
+    if os.environ["SLURM_NTASKS"] == "1":
+        return [LightningEnvironment()]
+    try:
+        return [SLURMEnvironment(auto_requeue=False)]
+    except RuntimeError as error:
+        raise TFLabError(f"Slurm: {error}") from error
+
+
+def check_processes(trainer: L.Trainer) -> None:
+    """That there is, or will be, a process for each device.
+
+    Raises:
+        TFLabError: whoever began them began more or fewer.
+    """
+    devices = trainer.num_devices * trainer.num_nodes
+    if trainer.world_size != devices:
+        raise TFLabError(
+            f"trainer.devices={trainer.num_devices}: {trainer.world_size} processes for {devices} "
+            f"devices; give srun or torchrun {trainer.num_devices} processes a node "
+            f"(--ntasks-per-node={trainer.num_devices})"
+        )
