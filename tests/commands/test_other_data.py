@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers.layouts import plain as plain_layout
-from helpers.layouts import room_frames, scannet
+from helpers.layouts import plain as plain_layout, room_frames, scannet
 from helpers.tiny_jobs import TINY, Result, call
 from tf_lab.commands.train import identified
 from tf_lab.config.compose import compose_config

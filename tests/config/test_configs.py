@@ -16,8 +16,7 @@ from tf_lab.config.build import build_network, capture_settings
 from tf_lab.config.compose import compose_config, conf_dir
 from tf_lab.config.groups import InputSettings
 from tf_lab.config.registration import register
-from tf_lab.config.schema import CONFIGS as SCHEMAS
-from tf_lab.config.schema import PARTS
+from tf_lab.config.schema import CONFIGS as SCHEMAS, PARTS
 from tf_lab.config.typed import typed
 from tf_lab.errors import TFLabError
 from tf_lab.online.settings import ReconstructionSettings

@@ -11,13 +11,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers.layouts import polycam as polycam_layout
-from helpers.layouts import record3d as record3d_layout
-from helpers.layouts import room_frames
-from helpers.layouts import scanner_app as scanner_layout
-from helpers.layouts import stray_scanner as stray_layout
-from tf_lab.data.readers import detect_format, open_capture, polycam, record3d, scanner_app
-from tf_lab.data.readers import stray_scanner as stray
+from helpers.layouts import (
+    polycam as polycam_layout,
+    record3d as record3d_layout,
+    room_frames,
+    scanner_app as scanner_layout,
+    stray_scanner as stray_layout,
+)
+from tf_lab.data.readers import (
+    detect_format,
+    open_capture,
+    polycam,
+    record3d,
+    scanner_app,
+    stray_scanner as stray,
+)
 from tf_lab.data.reading import ReadSettings
 from tf_lab.errors import TFLabError
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.layouts import replica as layout
-from helpers.layouts import room_frames
+from helpers.layouts import replica as layout, room_frames
 from tf_lab.data.readers import open_capture, replica
 from tf_lab.errors import TFLabError
 

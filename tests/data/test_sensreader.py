@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.layouts import room_frames
-from helpers.layouts import sensreader as layout
+from helpers.layouts import room_frames, sensreader as layout
 from tf_lab.data.readers import detect_format, open_capture, sensreader
 from tf_lab.errors import TFLabError
 

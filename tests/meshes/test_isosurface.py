@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from torch import Tensor
 
 from tf_lab.geometry import VoxelGrid

@@ -3,8 +3,7 @@
 import itertools
 
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from torch import Tensor
 
 from tf_lab.online.lattice.blocks import Blocks, dilate, pack, unpack, z_order

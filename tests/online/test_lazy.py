@@ -21,8 +21,7 @@ from tf_lab.data.scene import Scene
 from tf_lab.errors import TFLabError
 from tf_lab.geometry import CHUNK
 from tf_lab.network.fusion.weights import weights_from_logits
-from tf_lab.online import Reconstructor
-from tf_lab.online import frames as frames_module
+from tf_lab.online import Reconstructor, frames as frames_module
 from tf_lab.support.devices import free_memory
 from tf_lab.support.memory import total_memory
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from helpers.layouts.transforms import OPTIONS as OPTIONS
-from helpers.layouts.transforms import opengl
+from helpers.layouts.transforms import OPTIONS as OPTIONS, opengl
 from tf_lab.data.scene import Frame
 
 

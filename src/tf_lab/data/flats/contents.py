@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from tf_lab.data.flats.plan import FlatPlan
-from tf_lab.data.rooms import furniture as f
-from tf_lab.data.rooms import storage as st
+from tf_lab.data.rooms import furniture as f, storage as st
 from tf_lab.data.rooms.arrange import THEMES, Maker, furnish
 from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.footprint import Placed

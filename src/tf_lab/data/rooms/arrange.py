@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tf_lab.data.rooms import furniture as f
-from tf_lab.data.rooms import storage as st
+from tf_lab.data.rooms import furniture as f, storage as st
 from tf_lab.data.rooms.decor import Kit, Piece
 from tf_lab.data.rooms.footprint import FreeSpace, Placed, overlap
 from tf_lab.data.rooms.layout import Plan, Wall
