@@ -91,6 +91,9 @@ def test_features_are_turned_to_be_like_anothers(tmp_path: Path) -> None:
     assert "cosine to the other's features: {'coarse': 1.0, 'fine': 1.0}" in same.out
     for name, value in load_file(first).items():
         torch.testing.assert_close(value, load_file(one)[name], rtol=0, atol=1e-5)
+    told = pretrain(*RESNET, "steps=0", f"encoder.weights={two}", f"like={one}")
+    assert told.status == 2 and "encoder.safetensors: there already, of other settings" in told.err
+    first.unlink()
     none = ("seed=1", "steps=0")  # the seed draws what is scored
     assert pretrain(*RESNET, *none, f"encoder.weights={two}", f"like={one}").status == 0
     assert scores(first) == scores(two)
@@ -98,7 +101,8 @@ def test_features_are_turned_to_be_like_anothers(tmp_path: Path) -> None:
     assert {name.partition(".")[0] for name in changed} == {"coarse_head", "fine_head"}
     with safe_open(first, framework="np") as file:
         assert json.loads(file.metadata()["info"])["config"]["like"] == "one.safetensors"
-    told = pretrain(*RESNET, "encoder.width=16", f"like={one}")
+    wide = ("encoder.width=16", "output=wide.safetensors")
+    told = pretrain(*RESNET, *wide, f"like={one}")
     assert told.status == 2 and "one.safetensors: of another encoder" in told.err
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import lightning as L
 import pytest
 import torch
-from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.callbacks import Callback, EarlyStopping
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -48,7 +48,7 @@ class StopAt(Callback):
 
 def fitted(directory: Path, *callbacks: Callback, **others: Any) -> Line:
     line = Line()
-    settings = FitSettings(steps=9, save_every=2, identity=others.pop("identity", None))
+    settings = FitSettings(steps=9, save_every=2)
     fit(line, Numbers, directory, CPU, settings, loggers=[], callbacks=callbacks, **others)
     return line
 
@@ -138,16 +138,22 @@ def test_gradients_are_clipped(tmp_path: Path) -> None:
     assert line.slope.item() == pytest.approx(0.02, abs=1e-6)
 
 
-def test_one_of_another_identity_starts_anew(
+def test_early_stopping_finishes_a_training(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        fitted(tmp_path, StopAt(5), identity="one")
-    assert fitted(tmp_path, identity="other").seen[0] == 0
-    assert "of other settings or data; this training starts anew" in capsys.readouterr().out
-    with pytest.raises(KeyboardInterrupt):
-        fitted(tmp_path / "same", StopAt(5), identity="one")
-    assert fitted(tmp_path / "same", identity="one").seen[0] == 5
+    class Validated(Line):
+        def validation_step(self, batch: Tensor, batch_idx: int) -> None:
+            self.log("val/score", 1.0, batch_size=1)
+
+    class Both(Numbers):
+        def val_dataloader(self) -> DataLoader[float]:
+            return DataLoader([0.0], batch_size=None)  # type: ignore[arg-type]
+
+    stopping = EarlyStopping("val/score", patience=2)
+    settings = FitSettings(steps=90, save_every=99, validate_every=2)
+    made = fit(Validated(), Both, tmp_path, CPU, settings, loggers=[], callbacks=[stopping])
+    assert made.global_step == 6  # the first score, and two that are no better
+    assert "finished at step 6 of 90: Monitored metric val/score" in capsys.readouterr().out
 
 
 def test_it_goes_on_from_a_state_elsewhere_only_without_one_of_its_own(tmp_path: Path) -> None:

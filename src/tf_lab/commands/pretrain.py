@@ -84,9 +84,8 @@ def run(config: PretrainConfig) -> None:
         data,
         output,
         config.trainer,
-        FitSettings(
-            config.steps, every, every, CLIP, _identity(config, splits["train"]), less="fewer pairs"
-        ),
+        FitSettings(config.steps, every, every, CLIP, less="fewer pairs"),
+        _identity(config, splits["train"]),
         [*validated],
         {**origin, "config": _portable(config)},
         finish,

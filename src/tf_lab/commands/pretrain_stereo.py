@@ -59,9 +59,8 @@ def run(config: PretrainStereoConfig) -> None:
         data,
         output,
         config.trainer,
-        FitSettings(
-            config.steps, every, every, CLIP, _identity(config, train), less="fewer frames"
-        ),
+        FitSettings(config.steps, every, every, CLIP, less="fewer frames"),
+        _identity(config, train),
         [*validated],
         {**origin, "config": {**portable_config(config), "real": real}},
     )

@@ -31,7 +31,6 @@ from tf_lab.training.objects import instantiated
 from tf_lab.training.state import read_state
 
 PLANS = (CONFIG, ORIGIN, "hparams.yaml")  # files that say what is to be done
-IDENTITY = "identity"  # in a checkpoint: of what it was trained with
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,6 @@ class FitSettings:
         save_every: steps between checkpoints to resume from.
         validate_every: steps between validations; 0: none.
         clip: largest gradient norm; 0: any.
-        identity: of all that shapes the weights, where the directory's name does not say it: a
-            checkpoint of another is not resumed.
         less: settings that make a step take less memory.
     """
 
@@ -52,7 +49,6 @@ class FitSettings:
     save_every: int
     validate_every: int = 0
     clip: float = 0.0
-    identity: str | None = None
     less: str = ""
 
 
@@ -113,12 +109,14 @@ def fit(
     Raises:
         TFLabError: wrong settings of the trainer, a damaged checkpoint, numbers gone wrong, or too
             little memory or space.
-        KeyboardInterrupt: a callback ended it; the next call goes on.
+        KeyboardInterrupt: its time is over, or a callback ended it; the next call goes on.
     """
     made = _trainer(directory, trainer, settings, loggers, callbacks)
     batches = data()
     last = directory / LAST
-    resumes = last.exists() and _is_ours(last, settings.identity, module)
+    resumes = last.exists()
+    if resumes:
+        _check_ours(last, module)
     state = last if resumes else start()
     if state is not None and not is_helper():
         print(f"{'resuming' if resumes else 'going on from'} {state}")
@@ -131,9 +129,18 @@ def fit(
     except MisconfigurationException as error:  # of a callback, which fit asks
         raise TFLabError(f"callbacks or trainer: {error}") from error
     made.save_checkpoint(last)  # to train on
-    if made.global_step < settings.steps:
-        raise KeyboardInterrupt  # a callback ended it
+    if made.global_step < settings.steps and not _is_enough(made):
+        raise KeyboardInterrupt
     return made
+
+
+def _is_enough(trainer: L.Trainer) -> bool:
+    """Whether a training that ended before its last step is finished, by early stopping."""
+    reasons = [c.stopping_reason_message for c in trainer.early_stopping_callbacks]
+    reason = next(filter(None, reasons), None)
+    if reason is not None and not is_helper():
+        print(f"finished at step {trainer.global_step} of {trainer.max_steps}: {reason}")
+    return reason is not None
 
 
 def score(
@@ -146,19 +153,16 @@ def score(
     return dict(made.callback_metrics)
 
 
-def _is_ours(last: Path, identity: str | None, module: L.LightningModule) -> bool:
-    """Whether a checkpoint is to be resumed from.
+def _check_ours(last: Path, module: L.LightningModule) -> None:
+    """That a checkpoint can be resumed from.
 
     Raises:
-        TFLabError: it cannot be read.
+        TFLabError: it cannot be read, or is of another network.
     """
     try:
         state = read_state(last)
     except TFLabError as error:
         raise TFLabError(f"{error}; delete it to start this training again") from error
-    if identity is not None and state.get(IDENTITY) != identity:
-        print(f"{last}: of other settings or data; this training starts anew")
-        return False
     own, theirs = (
         {name: getattr(value, "shape", None) for name, value in weights.items()}
         for weights in (module.state_dict(), state["state_dict"])
@@ -168,7 +172,6 @@ def _is_ours(last: Path, identity: str | None, module: L.LightningModule) -> boo
         raise TFLabError(
             f"{last}: of another network (first: {first}); delete it to start this training again"
         )
-    return True
 
 
 class AtomicSaves(TorchCheckpointIO):
@@ -190,18 +193,6 @@ class AtomicSaves(TorchCheckpointIO):
         checkpoint: dict[str, Any] = super().load_checkpoint(*arguments, **others)
         checkpoint.get("callbacks", {}).pop("Timer", None)
         return checkpoint
-
-
-class _Identity(Callback):
-    """Writes into every checkpoint what it was trained with."""
-
-    def __init__(self, identity: str) -> None:
-        self.identity = identity
-
-    def on_save_checkpoint(
-        self, trainer: L.Trainer, pl_module: L.LightningModule, checkpoint: dict[str, Any]
-    ) -> None:
-        checkpoint[IDENTITY] = self.identity
 
 
 class _WholeSteps(Callback):
@@ -237,7 +228,6 @@ def _trainer(
         save_on_train_epoch_end=False,
     )
     always = [Finite(directory / LAST), saving, _WholeSteps()]
-    identity = [] if settings.identity is None else [_Identity(settings.identity)]
     every = min(settings.validate_every, settings.steps)
     batches = every * trainer.others.get("accumulate_grad_batches", 1)
     accelerator = accelerator_of(trainer.accelerator)
@@ -251,7 +241,7 @@ def _trainer(
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,
             gradient_clip_val=settings.clip or None,
-            callbacks=[*always, *identity, *callbacks, TrainingProgress()],
+            callbacks=[*always, *callbacks, TrainingProgress()],
             plugins=[AtomicSaves(), *cluster_plugins()],
             logger=list(loggers),
             log_every_n_steps=5,
