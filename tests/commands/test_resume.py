@@ -1,6 +1,7 @@
 """A training killed at any moment goes on, by the same command, to the same end."""
 
 import csv
+import shutil
 import socket
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 
 from helpers.killed import kill_after_first_save
-from helpers.tiny_jobs import TINY, call, tiny_config, told
+from helpers.tiny_jobs import TINY, Result, call, tiny_config, told
 from tf_lab.commands.train import train as train_network
 from tf_lab.experiments.identity import training_directory
 from tf_lab.support.tables import NOTHING
@@ -112,3 +113,23 @@ def test_a_last_checkpoint_that_is_none_is_named(
         torch.save(state, last)
     result = call("train", *TINY, f"output={tmp_path}")
     told(result, f"error: {last}: ", reason, "delete it to start this training again")
+
+
+def test_damaged_weights_are_made_again_from_the_state(
+    main_job: Result, outputs: Path, tmp_path: Path
+) -> None:
+    directory = outputs.parent / main_job.path("training")
+    copy = tmp_path / "trainings" / directory.name
+    shutil.copytree(directory, copy)
+    weights = copy / "model.safetensors"
+    expected = load_file(weights)
+    whole = weights.read_bytes()
+    weights.unlink()  # it is mapped into memory
+    weights.write_bytes(whole[:1000])
+    cure = "damaged; delete it, and the same command makes it from last.ckpt"
+    told(call("train", *TINY, f"output={tmp_path}"), f"error: {weights}: {cure}")
+    weights.unlink()
+    again = call("train", *TINY, f"output={tmp_path}")
+    assert again.status == 0 and "resuming" in again.out
+    for name, value in load_file(weights).items():
+        assert torch.equal(value, expected[name]), name

@@ -54,7 +54,7 @@ def test_a_list_of_all(mine: Path, main_job: Result) -> None:
     out = call("runs").out
     trainings, runs, wrong = out.split("\n\n")
     assert wrong.startswith("cannot be read:\n")
-    assert "broken/model.safetensors: not a checkpoint" in wrong
+    assert "broken/model.safetensors: damaged, or not a checkpoint" in wrong
     rows = {line.split()[0]: line for line in trainings.splitlines()[2:]}
     finished = rows.pop(main_job.path("training").name)
     assert "  finished  " in finished

@@ -259,7 +259,10 @@ def test_an_encoder_out_of_a_checkpoint(tmp_path: Path) -> None:
         (["init=STATE", "optimizer.steps=9", "init_encoder=CHECKPOINT"], "a state goes on as it"),
         (["init=CHECKPOINT", "init_encoder=SHIPPED"], "of another encoder: "),
         (["init=CHECKPOINT", "init_encoder=nowhere.pth"], "nowhere.pth: no such weights file"),
-        (["init=STATE"], "is at step 5 of optimizer.steps=5; give more"),
+        (
+            ["init=STATE"],
+            "is at step 5 of optimizer.steps=5; give more, or model.safetensors beside it",
+        ),
         (["init=STATE", "optimizer.steps=9", "refine=false"], "of another network: refine"),
         (["init=STATE", "optimizer.steps=9", "optimizer.lr=1"], "lr is 0.002 there and 1.0 here"),
     ],
@@ -298,3 +301,12 @@ def test_a_state_of_which_the_training_is_removed_is_not_needed(
     longer = train(*common, "optimizer.steps=6")
     assert (longer.status, "going on" in longer.out) == (0, False)
     shutil.rmtree(longer.path("training"))
+
+
+def test_a_damaged_state_of_fewer_steps_is_told(train: Train, tmp_path: Path) -> None:
+    common = (NO_TEST, "optimizer.schedule=inverse_sqrt", f"output={tmp_path}")
+    state = train(*common).path("training") / "last.ckpt"
+    state.write_bytes(state.read_bytes()[:1000])
+    longer = train(*common, "optimizer.steps=6")
+    assert longer.status == 0
+    assert f"note: {state} is of this training with fewer steps, but damaged" in longer.out

@@ -36,12 +36,34 @@ def test_a_table_of_all_jobs() -> None:
     )
 
 
+def test_jobs_of_one_row_are_told_apart_by_their_settings() -> None:
+    given = [("optimizer.lr=1e-3", 0), ("optimizer.lr=2e-3", 0), ("optimizer.lr=1e-3", 1)]
+    records = [
+        {"job": i, "row": "Ours", "seed": seed, "fscore": 0.5, "settings": ["x=1", rate]}
+        for i, (rate, seed) in enumerate(given)
+    ]
+    assert launcher.format_jobs(records) == (
+        "job  row                       seed  F-score\n"
+        "  0  Ours (optimizer.lr=1e-3)     0  0.500\n"
+        "  1  Ours (optimizer.lr=2e-3)     0  0.500\n"
+        "  2  Ours                         1  0.500"
+    )
+
+
 @pytest.mark.parametrize(
-    ("status", "reason"),
-    [(2, "exit status 2"), (-9, "killed by SIGKILL"), (0, "left no result")],
+    ("status", "log", "reason"),
+    [
+        (2, None, "exit status 2"),
+        (1, "Traceback\nValueError: x\n", "exit status 1"),
+        (2, "train 3/9\nerror: step 2: its numbers are not finite\n", "step 2: its numbers"),
+        (-9, "error: old", "killed by SIGKILL"),
+        (0, "", "left no result"),
+    ],
 )
-def test_how_a_job_ended(status: int, reason: str) -> None:
-    assert launcher._reason(status) == reason
+def test_how_a_job_ended(status: int, log: str | None, reason: str, tmp_path: Path) -> None:
+    if log is not None:
+        (tmp_path / "log.txt").write_text(log)
+    assert launcher._reason(status, tmp_path / "log.txt").startswith(reason)
 
 
 def test_a_launcher_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,13 +24,13 @@ from tf_lab.evaluation.scores import format_table, read_metrics
 from tf_lab.experiments.identity import row_label, run_directory, training_directory
 from tf_lab.experiments.launcher import SweepJobs
 from tf_lab.experiments.provenance import provenance
-from tf_lab.experiments.reuse import earlier_state, print_reuse
+from tf_lab.experiments.reuse import earlier_state, print_reuse, removal
 from tf_lab.network.checkpoint import load_network, save_network
 from tf_lab.stereo.depth import stereo_identity
 from tf_lab.support.devices import accelerator_of, use_tensor_cores
 from tf_lab.support.files import check_folder, write_json
-from tf_lab.support.headers import read_info
-from tf_lab.support.layout import CONFIG, ORIGIN, PICTURES, WEIGHTS
+from tf_lab.support.headers import read_header, read_info
+from tf_lab.support.layout import CONFIG, LAST, ORIGIN, PICTURES, WEIGHTS
 from tf_lab.training.callbacks import TrainingSessions
 from tf_lab.training.clusters import is_helper
 from tf_lab.training.curves import loss_curve
@@ -164,9 +164,26 @@ def train(config: TrainConfig) -> Path:
     with rank_zero_lock(directory, "training"):
         if not checkpoint.exists():
             (_train if config.optimizer.steps > 0 else _take)(config, directory, checkpoint)
-        elif not is_helper():
-            print_reuse("training", directory)
+        else:
+            _check_whole(checkpoint)
+            if not is_helper():
+                print_reuse("training", directory)
     return checkpoint
+
+
+def _check_whole(checkpoint: Path) -> None:
+    """That a finished training's weights are there, for the state beside them has them, too.
+
+    Raises:
+        TFLabError: they are not.
+    """
+    try:
+        read_header(checkpoint)
+    except TFLabError as error:
+        last, remove = checkpoint.with_name(LAST), removal(checkpoint.parent)
+        kept = f"delete it, and the same command makes it from {LAST} beside it"
+        cure = kept if last.exists() else f"to train again: {remove}"
+        raise TFLabError(f"{checkpoint}: damaged; {cure}") from error
 
 
 def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:

@@ -159,6 +159,7 @@ def run_job(
     log = folder / "log.txt"
     row, seed = jobs.label(config), config.seed
     record: dict[str, Any] = {"job": hydra.job.num, "row": row, "seed": seed}
+    record["settings"] = task_overrides(hydra)
     run = _finished(jobs, config)
     if run is not None:
         print_reuse("evaluation" if run.parent.name == RUNS else "training", run)
@@ -170,7 +171,7 @@ def run_job(
         status = children.run(command, log, os.environ if variables is None else variables, prefix)
         run = _finished(jobs, config)
         if status != 0 or run is None:
-            record["failed"] = _reason(status)
+            record["failed"] = _reason(status, log)
     metrics = read_metrics(run) if run is not None else None
     write_json(folder / RECORD, {**record, "fscore": metrics and metrics.mean.get("fscore")})
 
@@ -203,10 +204,12 @@ def task_overrides(hydra: Any) -> list[str]:
     return [str(override) for override in given]
 
 
-def _reason(status: int) -> str:
+def _reason(status: int, log: Path) -> str:
     if status < 0:
         return f"killed by {signal.Signals(-status).name}"
-    return f"exit status {status}" if status else "left no result"
+    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+    errors = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    return errors[-1] if errors else f"exit status {status}" if status else "left no result"
 
 
 class JobTable(Callback):
@@ -233,12 +236,19 @@ def _records(config: DictConfig) -> dict[Path, int]:
 
 
 def format_jobs(records: Sequence[Mapping[str, Any]]) -> str:
-    """The jobs of a sweep as aligned text: row, seed, and F-score or why and where it failed."""
-    rows = []
+    """The jobs of a sweep as aligned text: row, seed, and F-score or why and where it failed.
+
+    Where rows and seeds do not tell jobs apart, the settings do that not all of them have.
+    """
+    rows, names = [], [(r["row"], r["seed"]) for r in records]
+    same = set.intersection(*(set(r.get("settings", ())) for r in records)) if records else set()
     for r in records:
         score = NOTHING if r.get("fscore") is None else f"{r['fscore']:.3f}"
         result = f"failed: {r['failed']}, see {r['log']}" if "failed" in r else score
-        rows.append([str(r["job"]), r["row"], str(r["seed"]), result])
+        differs = [s for s in r.get("settings", ()) if s not in same]
+        told = names.count((r["row"], r["seed"])) > 1 and not {*differs} <= {f"seed={r['seed']}"}
+        row = f"{r['row']} ({' '.join(differs)})" if told else r["row"]
+        rows.append([str(r["job"]), row, str(r["seed"]), result])
     table = aligned(rows, "rlrl", ["job", "row", "seed", "F-score"])
     failed = sum("failed" in record for record in records)
     more = f"\n{failed} of {len(records)} jobs failed; the same command tries them again"

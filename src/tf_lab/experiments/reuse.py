@@ -89,18 +89,25 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
     for path in directory.parent.glob(f"{beside}-*/{LAST}"):
         try:
             other = read_config(path.parent / CONFIG)
-            step = int(saved_state(path)["global_step"])
-            fewer = other.optimizer.steps < steps
-            if fewer and _but_for_steps(other) == _but_for_steps(config):
-                found.append((step, path))
-            elif words := _computed_otherwise(other, config):
-                more = f"; init={path} goes on from its state" if step < steps else ""
-                print(
-                    f"note: {path.parent} is this training with {words}, at step {step} of {steps}:"
-                    f" with the same setting it is used{more}"
-                )
-        except Exception:  # any damage
+        except TFLabError:
             continue
+        fewer = other.optimizer.steps < steps and _but_for_steps(other) == _but_for_steps(config)
+        words = "fewer steps" if fewer else _computed_otherwise(other, config)
+        if not words:
+            continue
+        try:
+            step = int(saved_state(path)["global_step"])
+        except Exception:  # any damage
+            print(f"note: {path} is of this training with {words}, but damaged")
+            continue
+        if fewer:
+            found.append((step, path))
+        else:
+            more = f"; init={path} goes on from its state" if step < steps else ""
+            print(
+                f"note: {path.parent} is this training with {words}, at step {step} of {steps}: "
+                f"with the same setting it is used{more}"
+            )
     step, last = max(found, default=(0, None))
     if last is None or config.optimizer.schedule == "inverse_sqrt":
         return last

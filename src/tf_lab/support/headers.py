@@ -24,7 +24,7 @@ def read_header(path: Path) -> dict[str, str]:
             return file.metadata() or {}
     except (SafetensorError, OSError) as error:
         raise TFLabError(
-            f"{path}: not a checkpoint of tf_lab; expected {WEIGHTS} of a training run"
+            f"{path}: damaged, or not a checkpoint of tf_lab; expected {WEIGHTS} of a training run"
         ) from error
 
 

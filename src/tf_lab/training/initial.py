@@ -161,7 +161,8 @@ def check_state(path: Path, settings: Mapping[str, Any]) -> None:
     steps = settings["steps"]
     if state["global_step"] >= steps:
         done = state["global_step"]
-        raise TFLabError(f"init={path}: is at step {done} of optimizer.steps={steps}; give more")
+        cure = "give more, or model.safetensors beside it to test or train on with its weights"
+        raise TFLabError(f"init={path}: is at step {done} of optimizer.steps={steps}; {cure}")
     misfit = _misfit({**_plain(theirs), "steps": steps}, _plain(settings))
     if misfit:
         raise TFLabError(
