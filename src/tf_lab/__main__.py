@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import os
 import sys
 from pathlib import Path
 
@@ -33,7 +34,10 @@ def main() -> None:
     print_anything()
     words = sys.argv[1:]
     if not words or {"-h", "--help"}.intersection(words):
-        print(listing())
+        try:
+            print(listing(), flush=True)
+        except BrokenPipeError:  # whoever reads has seen enough
+            os._exit(1)
         sys.exit(0 if words else 2)
     print(f"error: {_cure(words[0])}", file=sys.stderr)
     sys.exit(2)

@@ -12,9 +12,9 @@ Examples:
   python -m tf_lab.figures 'figures=[fscore_k,fscore_rows]' runs=results/reference/runs
 """
 
-from tf_lab.cli.command import command
+from tf_lab.cli.command import TRAINING_DATA, command
 
-main = command("figures", __doc__, "tf_lab.commands.figures:run")
+main = command("figures", __doc__, "tf_lab.commands.figures:run", unused=TRAINING_DATA)
 
 if __name__ == "__main__":
     main()

@@ -9,9 +9,9 @@ Examples:
   python -m tf_lab.reconstruct input=my_video method=plane_sweep
 """
 
-from tf_lab.cli.command import command
+from tf_lab.cli.command import TRAINING_DATA, command
 
-main = command("reconstruct", __doc__, "tf_lab.commands.reconstruct:run")
+main = command("reconstruct", __doc__, "tf_lab.commands.reconstruct:run", unused=TRAINING_DATA)
 
 if __name__ == "__main__":
     main()

@@ -10,12 +10,13 @@ Examples:
   python -m tf_lab.view 'checkpoint=[DIR_A,DIR_B]' port=8090
 """
 
-from tf_lab.cli.command import command
+from tf_lab.cli.command import TRAINING_DATA, command
 
 main = command(
     "view",
     __doc__,
     "tf_lab.commands.view:run",
+    unused=TRAINING_DATA,
     keeps="the page is gone, the same command shows it again",
 )
 

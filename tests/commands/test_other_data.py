@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from helpers.layouts import plain as plain_layout, room_frames, scannet
-from helpers.tiny_jobs import TINY, Result, call
+from helpers.tiny_jobs import TINY, Result, call, told
 from tf_lab.commands.train import identified
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import TrainConfig
@@ -299,6 +299,8 @@ def test_what_is_wrong_with_the_data_to_test_on_is_told_first(root: Path, tmp_pa
         result = call("train", *arguments(root), "test_on=captures", wrong, "test_on.test=[x]")
         assert (result.status, result.out) == (2, "")
         assert "test_on." in result.err
+    result = call("train", *arguments(root), "test_on=captures", f"test_on.root={root}")
+    told(result, "there is no test scene (test_on.test, test_on.test_size): give one")
     assert not (root / "tf_lab").exists()
 
 

@@ -62,7 +62,7 @@ def test_a_single_run(tmp_path: Path, name: str) -> None:
     done = call("report", f"runs={run}", f"output={output}")
     assert (done.status, done.err) == (0, "")
     (line,) = (line for line in done.out.splitlines() if "no run yet" in line)
-    assert "1 runs of 1 rows" in line and "11 of the paper's 12 rows have no run yet." in line
+    assert "1 run of 1 row" in line and "11 of the paper's 12 rows have no run yet." in line
     assert "issing" not in done.out
     tables = ("inputs", "comparison", "orderings")
     without = {name for n in tables for name in (f"{n}.csv", f"table_{n}.tex")}
@@ -86,6 +86,8 @@ def test_no_runs(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("")
     assert "a.json: is no folder" in call("report", f"runs={tmp_path}/a.json").err
     assert "runs=[]: give a folder" in call("report", "runs=[]").err
+    told = call("report", f"output={tmp_path}").err
+    assert f"the runs in it are given by runs={tmp_path / 'runs'}" in told
 
 
 def test_another_report_into_the_same_folder(tmp_path: Path) -> None:
@@ -105,13 +107,13 @@ def test_several_folders_and_the_study_asked_for(tmp_path: Path) -> None:
         write_run(tmp_path / folder, f"optimizer.steps={steps}", ord(folder), [0.5])
     runs = f"runs=[{tmp_path}/a,{tmp_path}/b,{tmp_path}/c]"
     done = call("report", runs, "pictures=false")
-    assert "2 runs of 1 rows, seeds 97, 98;" in done.out
+    assert "2 runs of 1 row, seeds 97, 98;" in done.out
     (line,) = (line for line in done.out.splitlines() if line.startswith("left out: study"))
     assert "optimizer.steps 8 (not 7)" in line
     (beside,) = (line for line in done.out.splitlines() if "| optimizer.steps 8 (not 7) |" in line)
     assert "0.500" in beside
     key = line.split()[3].rstrip(",")
-    assert "1 runs of 1 rows, seeds 99;" in call("report", runs, f"study={key}").out
+    assert "1 run of 1 row, seed 99;" in call("report", runs, f"study={key}").out
 
 
 def test_kept_results_give_the_same_report(tmp_path: Path) -> None:

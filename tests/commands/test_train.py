@@ -18,7 +18,7 @@ from PIL import Image
 from safetensors.torch import load_file
 
 from helpers.run_directory import check_run
-from helpers.tiny_jobs import TINY, Result, call, start, tiny_config
+from helpers.tiny_jobs import TINY, Result, call, start, tiny_config, told
 from tf_lab.commands.train import train as train_network
 from tf_lab.network.checkpoint import load_network
 from tf_lab.online.views.selection import uniform
@@ -269,6 +269,13 @@ def test_without_a_test_scene_it_trains_and_says_that_there_is_no_score(
     assert result.out.startswith("no score will be made: there is no test scene")
     assert result.path("training") == checkpoint.parent
     assert "F-score" not in result.out
+
+
+def test_without_a_training_scene_it_ends_before_any_is_made(train: Train, tmp_path: Path) -> None:
+    places = (f"data.root={tmp_path / 'cache'}", f"output={tmp_path / 'out'}")
+    result = train("data.size=0", "data.val_size=0", "data.test_size=0", *places)
+    told(result, "there is no training scene: give data.size=")
+    assert not (tmp_path / "cache").exists()
 
 
 def test_an_interrupt_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch, outputs: Path) -> None:

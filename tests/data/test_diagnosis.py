@@ -259,6 +259,12 @@ def test_without_texture_nothing_is_guessed() -> None:
     assert quick_warning(opened(grey, DOWN), DOWN) is None
 
 
+def test_of_a_single_image_nothing_is_said_of_texture() -> None:
+    report = checked(room()[:1])
+    assert (report.verdict, report.settings) == (UNKNOWN, [])
+    assert report.findings[0] == "a single image says nothing about the cameras"
+
+
 def test_a_camera_that_stands_still_tells_nothing_of_poses() -> None:
     still = [replace(room()[0], name=str(i)) for i in range(12)]
     report = checked(still)

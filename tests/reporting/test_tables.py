@@ -175,6 +175,15 @@ def test_a_row_without_a_surface_is_best_at_nothing(tmp_path: Path) -> None:
     found = cells(short_table(open_study([tmp_path])[0]))
     assert found["Ours: 8 images"][3] == "1.000"
     assert found["Ours"][3] == "**0.640**"
+    beside = cells(main_table(open_study([tmp_path])[0]))
+    assert "**0.655**" in beside["Ours"]  # the paper's, which are no less there
+
+
+def test_the_papers_numbers_count_beside_a_row_without_a_surface(tmp_path: Path) -> None:
+    for overrides, fscore in (("", 0.0), ("views=8", 0.0), ("views=4", 0.1)):
+        write_run(tmp_path, overrides, 0, [fscore])
+    found = cells(main_table(open_study([tmp_path])[0]))
+    assert [row for row, line in found.items() if "**" in line[-1]] == ["Ours"]
 
 
 def test_where_all_are_equal_none_is_best(tmp_path: Path) -> None:

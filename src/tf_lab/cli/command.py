@@ -14,6 +14,10 @@ from tf_lab.support.stops import stoppable
 # browser that shows the page, waiting longer takes from what is waited for.
 WAITING = ("GOMP_SPINCOUNT", "1000")
 CACHE = "TF_LAB_CACHE"
+TRAINING_DATA = tuple(  # of embedded sets, which a command that shows a test scene does not read
+    f"data.{name}"
+    for name in ("size", "val_size", "frames", "furniture", "textures", "urls", "shuffle")
+)
 AGAIN = "what it wrote is whole, the same command starts again"
 
 

@@ -87,7 +87,7 @@ UNSET = ("hydra", FOUND_OUT)  # what nobody sets by a name
 _WANTED = {
     "Integer": "a whole number",
     "Float": "a number",
-    "List": "a list, as in [1,2]",
+    "List": "a list, as in 'NAME=[a,b]'",
     "bool": "true or false",
 }
 

@@ -68,8 +68,11 @@ def tables(report: Report) -> Iterator[Table]:
     table.add_column("In front", justify="right")
     given, best = report.found.given, report.found.best
     others = [c for c in report.found.tried if c.possible and c is not best]
-    if report.verdict == FINE:
-        others = [c for c in others if round(c.error, 2) > round(given.error, 2)]
+    if best is given:  # what is as good says nothing, unless it is found to be as likely
+        same = report.found.same
+        others = [
+            c for c in others if c.setting in same or round(c.error, 2) > round(given.error, 2)
+        ]
     for candidate in [given, *([best] if best is not given else []), *others[:SHOWN]]:
         style = "bold" if candidate is best else ""
         table.add_row(*_row(candidate), style=style)

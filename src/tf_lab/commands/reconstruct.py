@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -143,27 +144,33 @@ def _tell(
     )
     for reason in capture.skipped[:10]:
         print(f"  skipped {reason}")
-    if config.method == NETWORK and config.views > len(result.keyframes):
+    if len(result.keyframes) == 1:
+        print(
+            "warning: of one keyframe no distance can be seen; a smaller keyframe_distance= "
+            f"(now {config.keyframe_distance:g}) takes more of the frames",
+            file=sys.stderr,
+        )
+    elif config.method == NETWORK and config.views > len(result.keyframes):
         print(f"views={config.views} of only {keyframes}: each point keeps all that see it")
 
 
 def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path, score: bool) -> None:
     """Draw the mesh; where the source has depth, beside the mesh fused from it, with the score."""
-    frames = [result.keyframes[int(i)] for i in np.linspace(0, len(result.keyframes) - 1, 6)]
-    images = [capture.image(i) for i in frames]
+    spread = np.linspace(0, len(result.keyframes) - 1, 6).astype(int)
+    images = [capture.image(result.keyframes[i]) for i in np.unique(spread)]
     truth: trimesh.Trimesh | None = None
     scores: Scores | None = None
     with progress_bar() as bar:
-        task = bar.add_task("fusing its own depth", total=3)
+        depth = "fusing its own depth to score it (score=false: not)"
+        task = bar.add_task(depth if score else "drawing", total=None)
         with own_groundtruth(capture) if score else nullcontext() as groundtruth:
-            bar.update(task, completed=1, description="scoring")
+            bar.update(task, description="scoring")
             if groundtruth is not None:
                 scores = evaluate_scene(result.mesh, groundtruth)
                 truth = read_mesh(groundtruth / GROUNDTRUTH_MESH)
-        bar.update(task, completed=2, description="drawing")
+        bar.update(task, description="drawing")
         fscore = scores["fscore"] if scores else None
         compare(result.mesh, truth, images, picture, capture.name, fscore)
-        bar.update(task, completed=3)
     if scores:
         print("against the mesh fused from its own depth:")
         print(format_table([(capture.name, scores)], first="Scene"))

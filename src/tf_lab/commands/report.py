@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tf_lab.config.schema import ReportConfig
+from tf_lab.errors import TFLabError
 from tf_lab.reporting.formats import markdown
 from tf_lab.reporting.orderings import summary
 from tf_lab.reporting.report import describe, write_report
@@ -21,6 +22,11 @@ def run(config: ReportConfig) -> None:
     folders = [config.runs] if isinstance(config.runs, str) else config.runs
     output = Path(config.output)
     check_folder(output)
+    if not any(Path(folder).exists() for folder in folders) and (output / RUNS).is_dir():
+        raise TFLabError(
+            f"{', '.join(folders)}: there is no such folder; output= is where the report goes, the "
+            f"runs in it are given by runs={output / RUNS}"
+        )
     study, remarks = open_study(folders, config.study)
     if config.keep:
         kept = {keep_run(r, output / RUNS) for s in (study, *study.others) for r in s.runs.values()}

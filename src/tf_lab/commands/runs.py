@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -99,7 +100,8 @@ def listing(output: Path) -> str:
         )
     first = [["TRAINING", "STATE", "COMMIT", "DATA", "STEPS", "MINUTES", "USED BY (ROW / SEED)"]]
     for entry in trainings:
-        used = [run.label for run in runs if run.training == entry.directory.name]
+        labels = Counter(run.label for run in runs if run.training == entry.directory.name)
+        used = [f"{label} ({n} times)" if n > 1 else label for label, n in labels.items()]
         seconds = entry.origin.get("seconds")
         minutes = f"{seconds / 60:.1f}" if seconds is not None else NOTHING
         first.append([*_start(entry, NOTHING), minutes, "; ".join(used)])

@@ -58,10 +58,14 @@ def run(config: TrainConfig) -> None:
     check_test(config)
     _ = config.training.chunk
     capture_settings(config)
+    if config.test_on is not None and not _tested(config).has("test"):
+        which = f"{TEST_ON}.test, {TEST_ON}.test_size"
+        raise TFLabError(f"there is no test scene ({which}): give one, or leave test_on= out")
     config = identified(config)
     start = time.time()
     run = run_directory(config)
-    if read_metrics(run) is not None:
+    reused = read_metrics(run) is not None
+    if reused:
         print_reuse("evaluation", run)
     else:
         check_folder(Path(config.output))
@@ -84,7 +88,8 @@ def run(config: TrainConfig) -> None:
     label = row_label(config)
     print(format_table([*metrics.scenes.items(), (label, metrics.mean)]))
     print(f"training: {training_directory(config)}\nrun:      {run}")
-    print(f"pictures: {run / PICTURES}   ({(time.time() - start) / 60:.1f} minutes in all)")
+    took = "" if reused else f"   ({(time.time() - start) / 60:.1f} minutes in all)"
+    print(f"pictures: {run / PICTURES}{took}")
 
 
 def identified(config: TrainConfig) -> TrainConfig:
@@ -189,7 +194,13 @@ def _check_whole(checkpoint: Path) -> None:
 def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     L.seed_everything(config.seed, verbose=False)
     t, optimizer = config.training, config.optimizer
-    network, source = make_network(config), open_source(config.data, config.content)
+    source = open_source(config.data, config.content)
+    if not (source.has("train") or source.shards()):
+        raise TFLabError(
+            "there is no training scene: give data.size=, or more than are for val and test; "
+            "optimizer.steps=0 tests the weights that init= names"
+        )
+    network = make_network(config)
     _check_size(config)  # once the network is known to fit
     if config.trainer.compile:
         network.compile_parts()

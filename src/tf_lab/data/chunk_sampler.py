@@ -133,7 +133,7 @@ class ChunkSampler:
     ) -> None:
         if not scenes:
             raise TFLabError(
-                "there is no training scene; data.size may be 0, or all scenes are for val and test"
+                "there is no training scene: give more than are for val and test, or data.size="
             )
         self.scenes, self.settings = list(scenes), settings
         self.near, self.far, self.stereo = near, far, stereo

@@ -27,7 +27,7 @@ from tf_lab.support.files import atomic_directory, remove_abandoned, write_json
 from tf_lab.support.locks import directory_lock
 from tf_lab.support.tasks import run_tasks
 from tf_lab.support.text import read_lines
-from tf_lab.support.words import counted
+from tf_lab.support.words import counted, shortened
 
 logger = logging.getLogger(__name__)
 
@@ -245,6 +245,7 @@ def names_of(given: Sequence[str] | str, known: Sequence[str], what: str) -> lis
     missing = [name for name in given if name not in known]
     if missing:
         raise TFLabError(
-            f"{what}: {len(missing)} of {len(given)} scenes are not there, the first: {missing[0]}"
+            f"{what}: of {counted(len(given), 'scene')} {len(missing)} not there, the first: "
+            f"{missing[0]}; there are: {shortened(sorted(known))}"
         )
     return list(given)

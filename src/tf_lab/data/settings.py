@@ -41,7 +41,7 @@ class ChunkSettings:
     )
     rules: dict[str, float] = setting(
         {"random": 1.0},
-        "by which policies they are kept: weights, one drawn a step",
+        "policy that keeps them in a step, drawn by these weights",
         shapes="weights",
         least=0,
     )

@@ -22,6 +22,7 @@ from tf_lab.reporting.tables import (
     views_table,
 )
 from tf_lab.support.files import write_text
+from tf_lab.support.words import counted
 
 CHARTS = {"chart_views": views_chart, "chart_rows": rows_chart}
 
@@ -80,10 +81,12 @@ def describe(study: Study) -> str:
     data = f"data={s['data.name']}" + (f" test_on={elsewhere}" if elsewhere else "")
     given = s.get("test.content.groundtruth") is not None
     by = " scored by the ground truth given (groundtruth=)" if given else ""
+    seeds = "seed" if len(study.seeds()) == 1 else "seeds"
     text = (
-        f"Study {study.key}: {len(study.runs)} runs of {len(study.rows)} rows, seeds "
+        f"Study {study.key}: {counted(len(study.runs), 'run')} of "
+        f"{counted(len(study.rows), 'row')}, {seeds} "
         f"{', '.join(map(str, study.seeds()))}; {data}, model={s['model.name']}, "
-        f"{s['optimizer.steps']} steps; {len(study.scenes)} test scenes{by}, "
+        f"{s['optimizer.steps']} steps; {counted(len(study.scenes), 'test scene')}{by}, "
         f"meshed at {100 * s['test.resolution']:g} cm."
     )
     missing, rows = study.missing, len(ABLATIONS) + 1

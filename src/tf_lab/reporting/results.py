@@ -95,7 +95,7 @@ def _what_to_do(folders: Iterable[Path]) -> str:
     if not begun:
         return (
             "run: python -m tf_lab.train (one run, in minutes), or with sweep=main_ablation (the "
-            "paper's table, in hours)"
+            "paper's table, in hours); runs elsewhere are given by runs="
         )
     first = min(begun, key=lambda entry: entry.user is None)
     if first.user:

@@ -19,6 +19,7 @@ from tf_lab.support.words import counted
 
 ROW = Column("row", "Method")
 HERE, THERE = "This study", "Paper"
+PAPERS = "paper"  # begins the keys of the paper's columns
 SCORE = Column("fscore", "F-score", "up")
 SEEDS = Column("seeds", "Seeds")
 HERE_SCORE = Column("here", "In this study", "up")
@@ -55,7 +56,7 @@ def short_table(study: Study) -> Table:
 
 
 def _beside_paper(study: Study, name: str, groups: Sequence[Sequence[str]]) -> Table:
-    theirs = [replace(c, key=f"paper_{c.key}") for c in _metrics(metric_columns(), THERE)]
+    theirs = [replace(c, key=f"{PAPERS}_{c.key}") for c in _metrics(metric_columns(), THERE)]
     columns = (ROW, *_seeds(study), *_metrics(study.metrics, HERE), *theirs)
     body: list[list[Row]] = [
         [(row, *_mean_cells(study, row), *_paper_cells(row)) for row in group if study.shows(row)]
@@ -130,29 +131,31 @@ def _with_best(
 ) -> tuple[tuple[Row, ...], ...]:
     """The rows with the best of each column marked; what is equal as printed is equally good.
 
-    Where all are equal none is best, nor is a row without a surface, whatever its precision.
+    Where all are equal none is best, nor is a row without a surface, whatever its precision; the
+    paper's numbers beside it are not its own.
     """
     scores = [i for i, column in enumerate(columns) if column.key == "fscore"]
 
-    def found(row: Row) -> bool:
+    def counts(row: Row, column: Column) -> bool:
         values = [_value(row[i]) for i in scores]
-        return all(value is None or value > 0 for value in values)
+        return column.key.startswith(PAPERS) or all(v is None or v > 0 for v in values)
 
     best: list[str | None] = []
     for i, column in enumerate(columns):
-        cells = [row[i] for group in body for row in group if found(row)]
+        cells = [row[i] for group in body for row in group if counts(row, column)]
         shown = {_printed(cell): value for cell in cells if (value := _value(cell)) is not None}
         pick = {"down": min, "up": max}.get(column.better)
         best.append(pick(shown, key=shown.__getitem__) if pick and len(shown) > 1 else None)
 
     def marked(row: Row) -> Row:
-        if not found(row):
-            return row
         return tuple(
             replace(cell, best=True)
-            if isinstance(cell, Number) and winner and _printed(cell) == winner
+            if isinstance(cell, Number)
+            and winner
+            and _printed(cell) == winner
+            and counts(row, column)
             else cell
-            for cell, winner in zip(row, best, strict=True)
+            for cell, winner, column in zip(row, best, columns, strict=True)
         )
 
     return tuple(tuple(map(marked, group)) for group in body)

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 
 def counted(number: int, noun: str) -> str:
     """As in "1 frame", "0 frames", "2 frames"."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def shortened(names: Sequence[str], most: int = 8) -> str:
+    """The first of some names, and how many more there are."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def natural(text: str) -> list[tuple[str, int, str]]:

@@ -99,6 +99,8 @@ def too_poor(evidence: Evidence) -> str:
     pairs, matches = len(evidence.pairs), sum(len(pair.a) for pair in evidence.pairs)
     if pairs >= LEAST_PAIRS and matches >= LEAST_MATCHES:
         return ""
+    if len(evidence.capture.frames) < 2:
+        return "a single image says nothing about the cameras"
     return (
         f"{matches} matches in {pairs} pairs of images: too little texture or overlap to say "
         "anything about the cameras"

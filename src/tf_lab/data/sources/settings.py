@@ -10,7 +10,7 @@ from tf_lab.data.settings import MOST_SIDE
 from tf_lab.support.settings import setting
 
 SPLITS = ("train", "val", "test")
-CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:HOME,.}/.cache/tf_lab}"
+CACHE = "${oc.env:TF_LAB_CACHE,${oc.env:XDG_CACHE_HOME,${oc.env:HOME,.}/.cache}/tf_lab}"
 
 URLS = (
     "shards to train on instead of the training scenes: DIR, https://host/DIR/, "
@@ -59,7 +59,7 @@ class EmbeddedData:
     """Scenes of our own, rendered on first use into a cache."""
 
     name: str
-    root: str = setting(CACHE, "the cache", kind="path")
+    root: str = setting(CACHE, "the cache; TF_LAB_CACHE moves it for all", kind="path")
     size: int = setting(32, "training scenes; hundreds for a real study", shapes="weights", least=0)
     val_size: int = setting(1, "val scenes, for the score while training", least=0)
     test_size: int = setting(4, "test scenes", shapes="scores", least=0)

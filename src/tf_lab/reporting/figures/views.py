@@ -16,6 +16,7 @@ from tf_lab.online.reconstructor import Reconstructor
 from tf_lab.reporting.figures.contract import Drawn, Shown, Size
 from tf_lab.support.colors import FRAME_COLORS, HIGH, LOW, frame_colors, weight_colors
 from tf_lab.support.figures import HEADING, SMALL, TITLE, new_figure
+from tf_lab.support.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,7 +111,7 @@ def selected_views(shown: Shown, points: np.ndarray | None = None) -> Drawn:
             cell.set_axis_on()
             _framed(cell, view.image, color)
             cell.set_title(f"{view.source}: {view.weight:.3f}", fontsize=SMALL)
-        text = f"{len(found.views)} views kept, weights {found.weights.sum():.2f} in sum"
+        text = f"{counted(len(found.views), 'view')} kept, weights {found.weights.sum():.2f} in sum"
         right.suptitle(text, fontsize=TITLE)
         _weight_bar(right, cells, found)
     caption = (
