@@ -8,7 +8,7 @@ import pytest
 
 from helpers.line import CPU, Line, Numbers
 from tf_lab.errors import TFLabError
-from tf_lab.training.clusters import check_processes, cluster_plugins
+from tf_lab.training.clusters import check_processes, cluster_plugins, telling_lost_processes
 from tf_lab.training.fit import FitSettings, fit
 
 
@@ -65,3 +65,18 @@ def test_elsewhere_lightning_finds_out(monkeypatch: pytest.MonkeyPatch) -> None:
     slurm(monkeypatch, 2, NTASKS_PER_NODE="2")
     monkeypatch.setenv("TORCHELASTIC_RUN_ID", "none")  # torchrun, in a job of Slurm
     assert not cluster_plugins()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[/pytorch/third_party/gloo/gloo/transport/tcp/pair.cc:547] Connection closed by peer",
+        "NCCL error in: ProcessGroupNCCL.cpp:1, remote process exited or there was a network error",
+    ],
+)
+def test_a_process_that_does_not_answer_is_a_line(text: str) -> None:
+    told = pytest.raises(TFLabError, match="another process of this training or test ended")
+    with told, telling_lost_processes():
+        raise RuntimeError(text)
+    with pytest.raises(RuntimeError, match="a bug"), telling_lost_processes():
+        raise RuntimeError("a bug")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import lightning as L
@@ -14,6 +16,8 @@ from lightning.fabric.plugins.environments import (
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from tf_lab.errors import TFLabError
+
+NO_ANSWER = ("gloo", "NCCL", "Connection closed by peer", "Connection reset by peer")
 
 
 def is_helper() -> bool:
@@ -39,6 +43,26 @@ def cluster_plugins() -> list[Any]:
         return [SLURMEnvironment(auto_requeue=False)]
     except RuntimeError as error:
         raise TFLabError(f"Slurm: {error}") from error
+
+
+@contextlib.contextmanager
+def telling_lost_processes() -> Iterator[None]:
+    """Say in one line that another process of a distributed training, or test, ended.
+
+    That one has said why; what is met here is that nobody answers.
+
+    Raises:
+        TFLabError: one did.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        if not any(word in str(error) for word in NO_ANSWER):
+            raise
+        raise TFLabError(
+            "another process of this training or test ended, whose own error says why; the same "
+            "command goes on"
+        ) from error
 
 
 def check_processes(trainer: L.Trainer) -> None:

@@ -33,7 +33,7 @@ from tf_lab.online.reconstruction import Reconstruction, reconstruct
 from tf_lab.online.settings import ReconstructionSettings
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import EvaluationProgress
-from tf_lab.training.clusters import check_processes, cluster_plugins
+from tf_lab.training.clusters import check_processes, cluster_plugins, telling_lost_processes
 
 
 def scene_loader(scenes: Sequence[Path], trainer: L.Trainer | None) -> DataLoader[Path | None]:
@@ -202,7 +202,8 @@ def evaluate_network(module: SceneEvaluation, scenes: Sequence[Path], **devices:
         inference_mode=False,  # as outside Lightning
     )
     check_processes(trainer)
-    with as_parent(deaf=False):  # of the other processes of a distributed test
+    # of the other processes of a distributed test
+    with as_parent(deaf=False), telling_lost_processes():
         trainer.test(module, datamodule=SceneSplit(scenes), verbose=False)
 
 

@@ -25,7 +25,12 @@ from tf_lab.support.locks import LOCK, NOTE, directory_lock
 from tf_lab.support.memory import telling_no_memory
 from tf_lab.support.stops import as_parent
 from tf_lab.training.callbacks import TrainingProgress
-from tf_lab.training.clusters import check_processes, cluster_plugins, is_helper
+from tf_lab.training.clusters import (
+    check_processes,
+    cluster_plugins,
+    is_helper,
+    telling_lost_processes,
+)
 from tf_lab.training.finite import Finite
 from tf_lab.training.objects import instantiated
 from tf_lab.training.state import read_state
@@ -124,7 +129,7 @@ def fit(
     cures = [*filter(None, [settings.less]), "trainer.precision=16-mixed on a GPU"]
     less = telling_no_memory(str(directory), f"a step has to take less: {', '.join(cures)}")
     try:
-        with others, telling_no_space(directory), less:  # the loggers' files
+        with others, telling_no_space(directory), less, telling_lost_processes():
             made.fit(module, batches, ckpt_path=state, weights_only=True)
     except MisconfigurationException as error:  # of a callback, which fit asks
         raise TFLabError(f"callbacks or trainer: {error}") from error
