@@ -7,8 +7,6 @@ for a page, and thrown away.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import trimesh
@@ -25,13 +23,10 @@ from tf_lab.viewer.session import Session, State
 ROUNDS = 5  # of other colours and back, after the last frame
 
 
-@dataclass
 class Watcher:
     """A listener that notes when what was told."""
 
-    now: Callable[[], float]
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
         self.meshes: list[float] = []
         self.sent = 0
 
@@ -48,7 +43,7 @@ class Watcher:
                 piece.vertices, piece.faces, vertex_colors=colors, process=False
             )
             self.sent += len(glb_of(shown, np.eye(4)))
-        self.meshes.append(self.now())
+        self.meshes.append(time.monotonic())
 
     def picked(self, pick: Pick | None) -> None:
         """Other views at a point."""
@@ -62,7 +57,6 @@ def live(
     capture: Capture,
     frames: list[int],
     settings: ReconstructionSettings,
-    now: Callable[[], float] = time.monotonic,
 ) -> dict[str, float]:
     """Play frames of a capture as the viewer does.
 
@@ -75,18 +69,18 @@ def live(
         and after it was coloured otherwise `ROUNDS` times ("memory later"); "bytes sent" until it
         was whole.
     """
-    watcher = Watcher(now)
+    watcher = Watcher()
     session = Session(network, capture, frames, settings, watcher)
     session.speed = 1000.0  # as fast as it goes
-    start = now()
+    start = time.monotonic()
     session.play(True)
     while session.position < len(frames):
         session.work()
-    last, at_last = now(), resident_memory()
+    last, at_last = time.monotonic(), resident_memory()
     refreshed = [*(told for told in watcher.meshes if told <= last), last]
     gaps = np.diff(refreshed) if len(refreshed) > 1 else np.zeros(1)
     finish(session)
-    whole, when_whole, sent = now(), resident_memory(), watcher.sent
+    whole, when_whole, sent = time.monotonic(), resident_memory(), watcher.sent
     for mode in ("best view", "image") * ROUNDS:
         session.paint(mode)
         finish(session)

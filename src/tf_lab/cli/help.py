@@ -18,6 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from tf_lab.config.typed import settings_of
 
 FOUND_OUT = "content"  # of the data, when a run begins
+USUAL = 34  # characters of a name; few are longer
 CHOICES = "Choices (* those in use; the settings below are theirs):"
 SETTINGS = "Settings and their values (???: has to be given):"
 MORE = """\
@@ -137,7 +138,7 @@ def _resolved(cfg: DictConfig, key: str, value: str) -> str:
         return value
 
 
-def _columns(rows: Sequence[tuple[str, str]], limit: int = 34) -> Iterator[str]:
+def _columns(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
     """Lines of two columns; the first is as wide as most of its texts need."""
-    width = max((len(left) for left, _ in rows if len(left) <= limit), default=0)
+    width = max((len(left) for left, _ in rows if len(left) <= USUAL), default=0)
     return (f"{left:{width}}  {right}".rstrip() for left, right in rows)

@@ -33,28 +33,25 @@ def new_figure(width: float, height: float, dpi: float = DPI) -> Figure:
     return figure
 
 
-def panel_grid(
-    panels: Mapping[str, np.ndarray], heading: str, columns: int, width: float = PANEL
-) -> Figure:
+def panel_grid(panels: Mapping[str, np.ndarray], heading: str, columns: int) -> Figure:
     """Pictures (uint8 [H, W, 3], of one size) under their titles, so many in a line.
 
     Args:
         panels: by title.
         heading: of all.
         columns: at most so many.
-        width: of a panel, inches.
     """
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
     height, across = next(iter(panels.values())).shape[:2]
-    figure = new_figure(width * columns, (width * height / across + 0.3) * rows + 0.5)
+    figure = new_figure(PANEL * columns, (PANEL * height / across + 0.3) * rows + 0.5)
     figure.suptitle(heading, fontsize=HEADING, fontweight="bold")
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
     for axes, (title, image) in zip(grid.flat, panels.items(), strict=False):
         axes.imshow(image)
-        lines = [textwrap.fill(line, round(CHARACTERS * width)) for line in title.splitlines()]
+        lines = [textwrap.fill(line, round(CHARACTERS * PANEL)) for line in title.splitlines()]
         axes.set_title("\n".join(lines), fontsize=TITLE)
     return figure
 

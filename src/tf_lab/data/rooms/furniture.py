@@ -93,9 +93,9 @@ def chair(rng: Rng) -> Piece:
     return Piece("chair", w, d, h, build)
 
 
-def sofa(rng: Rng, seats: int | None = None) -> Piece:
-    """An armchair or a sofa with cushions."""
-    count = int(rng.integers(2, 4)) if seats is None else seats
+def sofa(rng: Rng) -> Piece:
+    """A sofa of two or three seats with cushions."""
+    count = int(rng.integers(2, 4))
     seat, arm = rng.uniform(0.55, 0.68), rng.uniform(0.12, 0.2)
     w, d, h = count * seat + 2 * arm, rng.uniform(0.8, 0.95), rng.uniform(0.72, 0.9)
 
@@ -114,7 +114,7 @@ def sofa(rng: Rng, seats: int | None = None) -> Piece:
                 with kit.s.at((x + rng.uniform(0.05, 0.15), 0.44, 0.445), rng.uniform(-0.2, 0.2)):
                     cushion(kit, (0, -0.05, 0), (0.4, 0.07, 0.36), other)
 
-    return Piece("sofa" if count > 1 else "armchair", w, d, h + 0.04, build)
+    return Piece("sofa", w, d, h + 0.04, build)
 
 
 def bed(rng: Rng) -> Piece:
