@@ -20,9 +20,10 @@ from tf_lab.data.rooms.materials import Textures
 from tf_lab.data.rooms.render import Lighting, Renderer
 from tf_lab.data.rooms.shapes import Surfaces
 from tf_lab.data.rooms.textures import SIZE
+from tf_lab.geometry import pinhole
 
 PHONE = Phone(np.radians(60), shutter=0.03, readout=0.03, pace=0.5, height=1.5, key=0.25)
-K = PHONE.intrinsics((160, 120))
+K = pinhole((160, 120), PHONE.field_of_view)
 FRONT = look(np.zeros(3), 0.0, 0.0)
 STILL = Motion(np.zeros(3), np.zeros(3))
 DARK, BRIGHT = 0.2, 1.0
@@ -154,7 +155,7 @@ def test_phones_in_use() -> None:
     phones = [make_phone(np.random.default_rng(i)) for i in range(300)]
     views = np.degrees([p.field_of_view for p in phones])
     assert 50 <= views.min() < 52 and 73 < views.max() <= 75
-    K = phones[0].intrinsics((160, 120))
+    K = pinhole((160, 120), phones[0].field_of_view)
     corner = (80 / K[0, 0], K[0, 0] / K[1, 1])
     assert np.degrees(2 * np.arctan(corner[0])) == pytest.approx(views[0]) and corner[1] == 1
     assert all(1.1 < p.height < 1.7 for p in phones)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
+from tf_lab.geometry import pinhole
+
 SIZE = np.array([5.0, 4.0, 2.6])  # metres, of a room; rooms stand in a row along x
 CORNER = np.array([0.13, 0.17, 0.11])  # metres, of the first room: off all lattices
 FIELD_OF_VIEW = np.radians(58.0)  # horizontal
@@ -33,16 +35,10 @@ class Rooms:
         return beyond.clamp(min=0).norm(dim=1) + beyond.amax(1).clamp(max=0)
 
 
-def intrinsics(size: tuple[int, int]) -> np.ndarray:
-    """K [3, 3] for images of (width, height)."""
-    focal = size[0] / 2 / np.tan(FIELD_OF_VIEW / 2)
-    return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-
-
 def walk(rooms: range, frames: int, size: tuple[int, int]) -> Iterator[tuple[np.ndarray, ...]]:
     """Frames (image, K, world_T_cam) of a turn in each of some rooms, ``frames`` a room."""
     rng = np.random.default_rng(0)
-    K = intrinsics(size)
+    K = pinhole(size, FIELD_OF_VIEW)
     for room in rooms:
         for i in range(frames):
             angle = 2 * np.pi * (i + 0.5) / frames

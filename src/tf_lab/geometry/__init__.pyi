@@ -3,6 +3,7 @@ from .cameras import (
     covered_pixels as covered_pixels,
     grid_sample as grid_sample,
     in_view as in_view,
+    pinhole as pinhole,
     pixel_directions as pixel_directions,
     project as project,
     sample_maps as sample_maps,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -12,6 +13,17 @@ from tf_lab.errors import TFLabError
 from tf_lab.geometry.poses import linear_map, transform
 
 MIN_FOCAL = 0.05  # of the image's side: a field of view of 168 degrees
+
+
+def pinhole(size: tuple[int, int], field_of_view: float) -> np.ndarray:
+    """K [3, 3] of square pixels, centred.
+
+    Args:
+        size: (width, height), pixels.
+        field_of_view: horizontal, radians.
+    """
+    focal = size[0] / 2 / np.tan(field_of_view / 2)
+    return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
 
 
 def project(points: Tensor, K: Tensor, cam_T_world: Tensor) -> tuple[Tensor, Tensor]:

@@ -22,6 +22,7 @@ from tf_lab.data.rooms.render import Lighting, Renderer, make_lighting
 from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import Habits, make_walk
 from tf_lab.data.scene import Frame
+from tf_lab.geometry import pinhole
 
 VERSION: int = 2
 """Changes whenever the output for the same seed does."""
@@ -89,7 +90,7 @@ def generate_flat(
     rng = np.random.default_rng([seed, 3])
     phone = make_phone(rng)
     size = settings.width, settings.height
-    K = phone.intrinsics(size)
+    K = pinhole(size, phone.field_of_view)
     renderer = Renderer(flat.geometry, flat.textures, flat.lighting, K, size, settings.samples)
     targets = flat.geometry.sample(400 * len(flat.plan.rooms) + 200, rng)
     space = flat.space()

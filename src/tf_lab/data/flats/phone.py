@@ -37,11 +37,6 @@ class Phone:
     height: float
     key: float
 
-    def intrinsics(self, size: tuple[int, int]) -> np.ndarray:
-        """K [3, 3] for images of (width, height) pixels: square pixels, centred."""
-        focal = size[0] / 2 / np.tan(self.field_of_view / 2)
-        return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
-
 
 def make_phone(rng: Rng) -> Phone:
     """Any of those in use."""

@@ -18,6 +18,7 @@ from tf_lab.data.rooms.render import Lighting, Renderer, make_lighting
 from tf_lab.data.rooms.shapes import RoomGeometry, Surfaces
 from tf_lab.data.rooms.walk import make_walk
 from tf_lab.data.scene import Frame
+from tf_lab.geometry import pinhole
 
 VERSION: int = 4
 """Changes whenever the output for the same seed does."""
@@ -68,19 +69,12 @@ def make_room(seed: int, borrowed: Borrowed = NOTHING) -> Room:
     return Room(plan, placed, kit.s.build(), textures, lighting)
 
 
-def intrinsics(settings: RoomSettings) -> np.ndarray:
-    """K [3, 3] of the camera: square pixels, centred."""
-    focal = settings.width / 2 / np.tan(FIELD_OF_VIEW / 2)
-    centre = (settings.width - 1) / 2, (settings.height - 1) / 2
-    return np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
-
-
 def generate_room(
     seed: int, settings: RoomSettings, borrowed: Borrowed = NOTHING
 ) -> Iterator[Frame]:
     """Film the room of a seed: the same seed, settings and borrowed things, the same frames."""
     room = make_room(seed, borrowed)
-    K = intrinsics(settings)
+    K = pinhole((settings.width, settings.height), FIELD_OF_VIEW)
     size = settings.width, settings.height
     renderer = Renderer(room.geometry, room.textures, [room.lighting], K, size, settings.samples)
     rng = np.random.default_rng([seed, 1])
