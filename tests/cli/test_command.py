@@ -24,15 +24,16 @@ def test_what_cannot_be_printed_ends_nothing(
     )
 
 
+@pytest.mark.parametrize("name", ["TF_LAB_CACHE", "XDG_CACHE_HOME"])
 @pytest.mark.parametrize(("given", "expected"), [("", None), ("there", "there")])
 def test_an_empty_cache_is_none(
-    given: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
+    name: str, given: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else data sets would be rendered into the current folder."""
-    monkeypatch.setattr(os, "environ", {"TF_LAB_CACHE": given})
+    monkeypatch.setattr(os, "environ", {name: given})
     monkeypatch.setattr("tf_lab.cli.run.run_command", lambda *_: None)
     command("train", "About.", "nowhere:run")()
-    assert os.environ.get("TF_LAB_CACHE") == expected
+    assert os.environ.get(name) == expected
 
 
 @pytest.mark.parametrize(

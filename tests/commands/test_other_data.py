@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from helpers import small_shards
 from helpers.layouts import plain as plain_layout, room_frames, scannet
 from helpers.tiny_jobs import TINY, Result, call, told
 from tf_lab.commands.train import identified
 from tf_lab.config.compose import compose_config
 from tf_lab.config.schema import TrainConfig
 from tf_lab.data import digests
+from tf_lab.data.chunk_sampler import ChunkSampler
 from tf_lab.data.scene import Scene
 from tf_lab.data.sources.source import open_source
 from tf_lab.errors import TFLabError
@@ -313,6 +315,18 @@ def test_what_is_trained_on_is_not_tested_on(root: Path, tmp_path: Path) -> None
         of_root(root, *words[:2], "test_on.test=[hall]")
     with pytest.raises(TFLabError, match=r"test_on\.root=.*nowhere: no such folder"):
         of_root(root, "test_on=captures", f"test_on.root={tmp_path / 'nowhere'}")
+
+
+def test_trained_from_shards_beside_captures_that_are_tested_on(
+    root: Path, rooms: Callable[[str], list[Path]], tmp_path: Path
+) -> None:
+    config = compose_config("train", *arguments(root))
+    drawn = ChunkSampler(rooms("train"), config.training.chunk, config.model.near, config.model.far)
+    small_shards.write(tmp_path / "shards", drawn, count=3, per_shard=3)
+    urls = (f"data.urls={tmp_path / 'shards'}", f"output={tmp_path / 'out'}")
+    result = call("train", *arguments(root), *urls)
+    assert (result.status, result.err) == (0, "")
+    assert "office" in result.out
 
 
 def test_the_train_command_on_two_roots(root: Path, tmp_path: Path) -> None:

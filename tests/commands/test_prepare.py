@@ -138,7 +138,7 @@ def test_flats_are_a_data_group_like_rooms(cache: Path) -> None:
 def test_a_test_scene_that_is_not_there_is_told_before_the_training(captures: Path) -> None:
     result = call("train", "data=captures", f"data.root={captures}", "data.test=[attic]")
     assert result.status == 2
-    assert "data.test: of 1 scene 1 not there, the first: attic; there are: " in result.err
+    assert "data.test: attic: not there; there are: " in result.err
     assert not Path("outputs").exists()
 
 

@@ -84,6 +84,10 @@ def test_features_are_turned_to_be_like_anothers(tmp_path: Path) -> None:
     """Of no steps, too: an encoder that is told to be like itself stays as it is."""
     assert pretrain(*RESNET).status == 0
     first = tmp_path / "encoder.safetensors"
+    same = pretrain(*RESNET)
+    assert "reusing the identical finished encoder.safetensors" in same.out
+    turned = pretrain(*RESNET, f"like={first}")
+    assert turned.status == 2 and "of other settings or data" in turned.err
     one = first.rename(tmp_path / "one.safetensors")
     assert pretrain(*RESNET, "seed=1", "output=two.safetensors").status == 0
     two = tmp_path / "two.safetensors"

@@ -274,7 +274,7 @@ def test_without_a_test_scene_it_trains_and_says_that_there_is_no_score(
 def test_without_a_training_scene_it_ends_before_any_is_made(train: Train, tmp_path: Path) -> None:
     places = (f"data.root={tmp_path / 'cache'}", f"output={tmp_path / 'out'}")
     result = train("data.size=0", "data.val_size=0", "data.test_size=0", *places)
-    told(result, "there is no training scene: give data.size=")
+    told(result, "no training scene: give data.size=")
     assert not (tmp_path / "cache").exists()
 
 

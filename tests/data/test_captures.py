@@ -236,7 +236,7 @@ def test_names_of_a_split(tmp_path: Path, given: Sequence[str]) -> None:
         (tmp_path / "split.txt").write_text("# two\na\nc\n", encoding="utf-8-sig")
         given = str(tmp_path / "split.txt")
     assert names_of(given, ["a", "b", "c"], "data.val") == ["a", "c"]
-    with pytest.raises(TFLabError, match=r"data\.val: 1 of 2 scenes are not there.*: c"):
+    with pytest.raises(TFLabError, match=r"data\.val: c: not there; there are: a, b"):
         names_of(given, ["a", "b"], "data.val")
 
 

@@ -56,6 +56,7 @@ def test_jobs_of_one_row_are_told_apart_by_their_settings() -> None:
         (2, None, "exit status 2"),
         (1, "Traceback\nValueError: x\n", "exit status 1"),
         (2, "train 3/9\nerror: step 2: its numbers are not finite\n", "step 2: its numbers"),
+        (2, "error: the cause\nerror: another process ended\n", "the cause"),
         (-9, "error: old", "killed by SIGKILL"),
         (0, "", "left no result"),
     ],

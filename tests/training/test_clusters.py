@@ -50,7 +50,9 @@ def test_a_job_of_one_task_trains_on_all_its_devices(monkeypatch: pytest.MonkeyP
 def test_too_few_tasks_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     slurm(monkeypatch, 2, NTASKS_PER_NODE="2")
     check_processes(trainer(2))
-    with pytest.raises(TFLabError, match=r"2 processes for 4 devices.*--ntasks-per-node=4"):
+    (slurm_environment,) = cluster_plugins()
+    assert not slurm_environment.auto_requeue
+    with pytest.raises(TFLabError, match=r"of 4 devices .* for 2; on 1 node give srun.*=4"):
         check_processes(trainer(4))
 
 
@@ -78,5 +80,5 @@ def test_a_process_that_does_not_answer_is_a_line(text: str) -> None:
     told = pytest.raises(TFLabError, match="another process of this training or test ended")
     with told, telling_lost_processes():
         raise RuntimeError(text)
-    with pytest.raises(RuntimeError, match="a bug"), telling_lost_processes():
-        raise RuntimeError("a bug")
+    with pytest.raises(RuntimeError, match="Duplicate GPU"), telling_lost_processes():
+        raise RuntimeError("NCCL error in: init.cc:1, Duplicate GPU detected")

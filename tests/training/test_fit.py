@@ -138,22 +138,41 @@ def test_gradients_are_clipped(tmp_path: Path) -> None:
     assert line.slope.item() == pytest.approx(0.02, abs=1e-6)
 
 
+class Validated(Line):
+    score = 1.0
+
+    def validation_step(self, batch: Tensor, batch_idx: int) -> None:
+        self.log("val/score", self.score, batch_size=1)
+
+
+class NumbersToValidate(Numbers):
+    def val_dataloader(self) -> DataLoader[float]:
+        return DataLoader([0.0], batch_size=None)  # type: ignore[arg-type]
+
+
+def stopped_early(directory: Path, *callbacks: Callback, **others: Any) -> tuple[Line, L.Trainer]:
+    line, settings = Validated(), FitSettings(steps=90, save_every=99, validate_every=2)
+    line.score = others.pop("score", 1.0)
+    stops = [EarlyStopping("val/score", mode="max", patience=2), *callbacks]
+    given = {"loggers": [], "callbacks": stops, **others}
+    return line, fit(line, NumbersToValidate, directory, CPU, settings, **given)
+
+
 def test_early_stopping_finishes_a_training(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class Validated(Line):
-        def validation_step(self, batch: Tensor, batch_idx: int) -> None:
-            self.log("val/score", 1.0, batch_size=1)
-
-    class Both(Numbers):
-        def val_dataloader(self) -> DataLoader[float]:
-            return DataLoader([0.0], batch_size=None)  # type: ignore[arg-type]
-
-    stopping = EarlyStopping("val/score", patience=2)
-    settings = FitSettings(steps=90, save_every=99, validate_every=2)
-    made = fit(Validated(), Both, tmp_path, CPU, settings, loggers=[], callbacks=[stopping])
+    line, made = stopped_early(tmp_path)
     assert made.global_step == 6  # the first score, and two that are no better
     assert "finished at step 6 of 90: Monitored metric val/score" in capsys.readouterr().out
+    again, _ = stopped_early(tmp_path)  # as after a kill before the weights were written
+    assert not again.seen and torch.equal(again.slope, line.slope)
+
+
+def test_what_stopped_another_training_does_not_finish_this_one(tmp_path: Path) -> None:
+    stopped_early(tmp_path / "other")
+    with pytest.raises(KeyboardInterrupt):
+        start = lambda: tmp_path / "other" / "last.ckpt"  # noqa: E731
+        stopped_early(tmp_path / "new", StopAt(7), start=start, score=2.0)
 
 
 def test_it_goes_on_from_a_state_elsewhere_only_without_one_of_its_own(tmp_path: Path) -> None:

@@ -26,13 +26,15 @@ class Counter(L.LightningModule):
         self.steps = torch.nn.Linear(1, 1, bias=False)
         torch.nn.init.zeros_(self.steps.weight)
         self.trained = 0
+        self.sets = ["val"]
 
     def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:
         self.trained += 1
         return -self.steps.weight.sum()
 
     def validation_step(self, batch: Tensor, batch_idx: int) -> None:
-        self.log("val/weight", self.steps.weight.sum())
+        for name in self.sets:
+            self.log(f"{name}/weight", self.steps.weight.sum())
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         return torch.optim.SGD(self.parameters(), 1.0)
@@ -72,6 +74,34 @@ def test_what_is_there_is_reused_or_stays(tmp_path: Path) -> None:
     with pytest.raises(TFLabError, match=r"of other settings or data; give another output=, or"):
         made("other", 3)
     assert output.read_bytes() == before
+
+
+def test_a_file_is_scored_on_what_it_was_made_without(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, settings = tmp_path / "weights.safetensors", FitSettings(2, 1, 10)
+    for sets in (["val"], ["val", "real"]):
+        module = Counter()
+        module.sets = sets
+        fit_weights(module.steps, module, Ones, output, CPU, settings, "one", sets, {})
+    assert capsys.readouterr().out.endswith("{'val/weight': 2.0, 'real/weight': 2.0}\n")
+
+
+def test_what_another_made_meanwhile_stays(tmp_path: Path) -> None:
+    output = tmp_path / "weights.safetensors"
+
+    class Late(Counter):
+        def on_train_end(self) -> None:
+            output.write_bytes(b"another's")
+
+    module = Late()
+    with pytest.raises(TFLabError, match="there already, and no such weights"):
+        fit_weights(module.steps, module, Ones, output, CPU, FitSettings(2, 1), "one", ["val"], {})
+    assert output.read_bytes() == b"another's"
+    output.unlink()
+    again = Counter()
+    fit_weights(again.steps, again, Ones, output, CPU, FitSettings(2, 1), "one", ["val"], {})
+    assert output.exists() and again.trained == 0
 
 
 def test_an_unfinished_state_is_kept_beside_another_training(tmp_path: Path) -> None:

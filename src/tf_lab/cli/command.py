@@ -13,10 +13,10 @@ from tf_lab.support.stops import stoppable
 # sleep, unless told otherwise before torch is loaded: on cores that have other work, such as the
 # browser that shows the page, waiting longer takes from what is waited for.
 WAITING = ("GOMP_SPINCOUNT", "1000")
-CACHE = "TF_LAB_CACHE"
+CACHES = ("TF_LAB_CACHE", "XDG_CACHE_HOME")
 TRAINING_DATA = tuple(  # of embedded sets, which a command that shows a test scene does not read
     f"data.{name}"
-    for name in ("size", "val_size", "frames", "furniture", "textures", "urls", "shuffle")
+    for name in ("size", "rooms", "val_size", "frames", "furniture", "textures", "urls", "shuffle")
 )
 AGAIN = "what it wrote is whole, the same command starts again"
 
@@ -47,8 +47,9 @@ def command(
 
     def main() -> None:
         print_anything()
-        if os.environ.get(CACHE) == "":  # which means none
-            del os.environ[CACHE]
+        for variable in CACHES:
+            if os.environ.get(variable) == "":  # which means none
+                del os.environ[variable]
         if "OMP_WAIT_POLICY" not in os.environ:
             os.environ.setdefault(*WAITING)
         with stoppable(keeps):

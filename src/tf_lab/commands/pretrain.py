@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -32,7 +33,7 @@ from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
 from tf_lab.training.fit import FitSettings
-from tf_lab.training.fit_weights import fit_weights
+from tf_lab.training.fit_weights import fit_weights, one_device
 from tf_lab.training.initial import with_encoder_digest
 from tf_lab.training.pretrain_encoder import Matching
 
@@ -110,8 +111,10 @@ def _identity(config: PretrainConfig, scenes: Sequence[Path]) -> str:
 
     A scene's directory and the two above it say what it was made of, and how.
     """
+    settings = shaping(replace(config, trainer=one_device(config.trainer)), "weights")
     start = with_encoder_digest(_start(config), config.model.name, Content()).encoder
-    return key_of(shaping(config, "weights"), start, [path.parts[-3:] for path in scenes])
+    like = config.like and hashlib.sha256(Path(config.like).read_bytes()).hexdigest()
+    return key_of(settings, start, [path.parts[-3:] for path in scenes], *filter(None, [like]))
 
 
 def _portable(config: PretrainConfig) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import lightning as L
@@ -23,7 +23,7 @@ from tf_lab.support.files import check_file
 from tf_lab.support.settings import shaping
 from tf_lab.training.datamodule import StreamDataModule
 from tf_lab.training.fit import FitSettings
-from tf_lab.training.fit_weights import fit_weights
+from tf_lab.training.fit_weights import fit_weights, one_device
 from tf_lab.training.pretrain_stereo import DepthTraining
 
 MOST = 60  # frames of a capture that are validated on
@@ -87,5 +87,6 @@ def _identity(config: PretrainStereoConfig, scenes: list[Path]) -> str:
 
     A scene's directory and the two above it say what it was made of, and how.
     """
+    settings = shaping(replace(config, trainer=one_device(config.trainer)), "weights")
     sweeps = [VERSION, asdict(SETTINGS)]
-    return key_of(shaping(config, "weights"), sweeps, [path.parts[-3:] for path in scenes])
+    return key_of(settings, sweeps, [path.parts[-3:] for path in scenes])

@@ -146,8 +146,8 @@ def _tell(
         print(f"  skipped {reason}")
     if len(result.keyframes) == 1:
         print(
-            "warning: of one keyframe no distance can be seen; a smaller keyframe_distance= "
-            f"(now {config.keyframe_distance:g}) takes more of the frames",
+            "warning: of one keyframe no distance can be seen; give more frames, or more of them "
+            f"by a smaller keyframe_distance= (now {config.keyframe_distance:g})",
             file=sys.stderr,
         )
     elif config.method == NETWORK and config.views > len(result.keyframes):

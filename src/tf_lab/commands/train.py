@@ -185,6 +185,8 @@ def _check_whole(checkpoint: Path) -> None:
     try:
         read_header(checkpoint)
     except TFLabError as error:
+        if isinstance(error.__cause__, OSError):  # as without permission: nothing is damaged
+            raise
         last, remove = checkpoint.with_name(LAST), removal(checkpoint.parent)
         kept = f"delete it, and the same command makes it from {LAST} beside it"
         cure = kept if last.exists() else f"to train again: {remove}"
@@ -195,9 +197,9 @@ def _train(config: TrainConfig, directory: Path, checkpoint: Path) -> None:
     L.seed_everything(config.seed, verbose=False)
     t, optimizer = config.training, config.optimizer
     source = open_source(config.data, config.content)
-    if not (source.has("train") or source.shards()):
+    if config.content.shards is None and not source.has("train"):
         raise TFLabError(
-            "there is no training scene: give data.size=, or more than are for val and test; "
+            "no training scene: give data.size=, or more captures than val and test hold; "
             "optimizer.steps=0 tests the weights that init= names"
         )
     network = make_network(config)

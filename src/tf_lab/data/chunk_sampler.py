@@ -133,7 +133,7 @@ class ChunkSampler:
     ) -> None:
         if not scenes:
             raise TFLabError(
-                "there is no training scene: give more than are for val and test, or data.size="
+                "no training scene: give data.size=, or more captures than val and test hold"
             )
         self.scenes, self.settings = list(scenes), settings
         self.near, self.far, self.stereo = near, far, stereo

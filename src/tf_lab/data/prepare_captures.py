@@ -245,7 +245,6 @@ def names_of(given: Sequence[str] | str, known: Sequence[str], what: str) -> lis
     missing = [name for name in given if name not in known]
     if missing:
         raise TFLabError(
-            f"{what}: of {counted(len(given), 'scene')} {len(missing)} not there, the first: "
-            f"{missing[0]}; there are: {shortened(sorted(known))}"
+            f"{what}: {shortened(missing)}: not there; there are: {shortened(sorted(known))}"
         )
     return list(given)

@@ -209,7 +209,7 @@ def _reason(status: int, log: Path) -> str:
         return f"killed by {signal.Signals(-status).name}"
     lines = log.read_text(errors="replace").splitlines() if log.exists() else []
     errors = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
-    return errors[-1] if errors else f"exit status {status}" if status else "left no result"
+    return errors[0] if errors else f"exit status {status}" if status else "left no result"
 
 
 class JobTable(Callback):

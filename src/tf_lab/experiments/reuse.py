@@ -98,7 +98,7 @@ def earlier_state(config: TrainConfig, directory: Path) -> Path | None:
         try:
             step = int(saved_state(path)["global_step"])
         except Exception:  # any damage
-            print(f"note: {path} is of this training with {words}, but damaged")
+            print(f"note: {path} is of this training with {words}, but damaged; it is not used")
             continue
         if fewer:
             found.append((step, path))

@@ -17,12 +17,14 @@ def read_header(path: Path) -> dict[str, str]:
     """The texts that a checkpoint was saved with, by name.
 
     Raises:
-        TFLabError: the file is not a checkpoint.
+        TFLabError: the file is not a checkpoint, or cannot be read.
     """
     try:
         with safe_open(path, framework="np") as file:
             return file.metadata() or {}
-    except (SafetensorError, OSError) as error:
+    except OSError as error:
+        raise TFLabError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except SafetensorError as error:
         raise TFLabError(
             f"{path}: damaged, or not a checkpoint of tf_lab; expected {WEIGHTS} of a training run"
         ) from error

@@ -16,8 +16,9 @@ from lightning.fabric.plugins.environments import (
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from tf_lab.errors import TFLabError
+from tf_lab.support.words import counted
 
-NO_ANSWER = ("gloo", "NCCL", "Connection closed by peer", "Connection reset by peer")
+NO_ANSWER = ("Connection closed by peer", "Connection reset by peer", "remote process exited")
 
 
 def is_helper() -> bool:
@@ -28,9 +29,10 @@ def is_helper() -> bool:
 def cluster_plugins() -> list[Any]:
     """Plugins of a trainer, by which Slurm does neither of these.
 
-    At Slurm's signal Lightning would write a checkpoint of its own, of whatever is trained, and
-    load it into whatever is trained or tested later; ours are resumed without. In a job of one
-    task it would train on one device, whatever is asked for; so that task begins the processes.
+    At Slurm's signal Lightning would write a checkpoint of its own, of whatever is trained, which
+    it loads into whatever is trained or tested later in that trainer's folder; ours are resumed
+    without. In a job of one task it would train on one device, whatever is asked for; so that task
+    begins the processes.
 
     Raises:
         TFLabError: Slurm's job is of a kind that Lightning does not take.
@@ -60,13 +62,13 @@ def telling_lost_processes() -> Iterator[None]:
         if not any(word in str(error) for word in NO_ANSWER):
             raise
         raise TFLabError(
-            "another process of this training or test ended, whose own error says why; the same "
-            "command goes on"
+            "another process of this training or test ended, and its own error says why; the same "
+            f"command goes on ({str(error).splitlines()[0]})"
         ) from error
 
 
 def check_processes(trainer: L.Trainer) -> None:
-    """That there is, or will be, a process for each device.
+    """That a distributed trainer has, or will have, a process for each device.
 
     Raises:
         TFLabError: whoever began them began more or fewer.
@@ -74,7 +76,8 @@ def check_processes(trainer: L.Trainer) -> None:
     devices = trainer.num_devices * trainer.num_nodes
     if trainer.world_size != devices:
         raise TFLabError(
-            f"trainer.devices={trainer.num_devices}: {trainer.world_size} processes for {devices} "
-            f"devices; give srun or torchrun {trainer.num_devices} processes a node "
-            f"(--ntasks-per-node={trainer.num_devices})"
+            f"trainer.devices={trainer.num_devices}: of {counted(devices, 'device')} there are "
+            f"processes for {trainer.world_size}; on {counted(trainer.num_nodes, 'node')} give "
+            f"srun --ntasks-per-node={trainer.num_devices}, or torchrun --nproc-per-node="
+            f"{trainer.num_devices}"
         )

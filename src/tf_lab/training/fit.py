@@ -109,7 +109,8 @@ def fit(
         start: finds the state to go on from if there is none in the directory; None: from nothing.
 
     Returns:
-        The trainer, at its last step.
+        The trainer, at its last step; one that has not begun where early stopping ended an earlier
+        call.
 
     Raises:
         TFLabError: wrong settings of the trainer, a damaged checkpoint, numbers gone wrong, or too
@@ -121,7 +122,10 @@ def fit(
     last = directory / LAST
     resumes = last.exists()
     if resumes:
-        _check_ours(last, module)
+        ended = _ours(last, module)
+        if _stopped_early(ended):  # with no more to do than to say so again
+            module.load_state_dict(ended["state_dict"])
+            return made
     state = last if resumes else start()
     if state is not None and not is_helper():
         print(f"{'resuming' if resumes else 'going on from'} {state}")
@@ -145,7 +149,22 @@ def _is_enough(trainer: L.Trainer) -> bool:
     reason = next(filter(None, reasons), None)
     if reason is not None and not is_helper():
         print(f"finished at step {trainer.global_step} of {trainer.max_steps}: {reason}")
-    return reason is not None
+    # another process may have seen it alone
+    return trainer.strategy.reduce_boolean_decision(reason is not None, all=False)
+
+
+def _stopped_early(state: dict[str, Any]) -> bool:
+    """Whether early stopping ended the training that saved a state."""
+    callbacks = state["callbacks"].values()
+    return any(isinstance(c, dict) and c.get("stopping_reason_message") for c in callbacks)
+
+
+class _NotStopped(Callback):
+    """Forgets why the training stopped early whose state this one goes on from."""
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        for callback in trainer.early_stopping_callbacks:
+            callback.stopping_reason_message = None
 
 
 def score(
@@ -158,8 +177,8 @@ def score(
     return dict(made.callback_metrics)
 
 
-def _check_ours(last: Path, module: L.LightningModule) -> None:
-    """That a checkpoint can be resumed from.
+def _ours(last: Path, module: L.LightningModule) -> dict[str, Any]:
+    """The state in a checkpoint that can be resumed from.
 
     Raises:
         TFLabError: it cannot be read, or is of another network.
@@ -177,6 +196,7 @@ def _check_ours(last: Path, module: L.LightningModule) -> None:
         raise TFLabError(
             f"{last}: of another network (first: {first}); delete it to start this training again"
         )
+    return state
 
 
 class AtomicSaves(TorchCheckpointIO):
@@ -232,7 +252,7 @@ def _trainer(
         enable_version_counter=False,
         save_on_train_epoch_end=False,
     )
-    always = [Finite(directory / LAST), saving, _WholeSteps()]
+    always = [Finite(directory / LAST), saving, _WholeSteps(), _NotStopped()]
     every = min(settings.validate_every, settings.steps)
     batches = every * trainer.others.get("accumulate_grad_batches", 1)
     accelerator = accelerator_of(trainer.accelerator)

@@ -12,7 +12,7 @@ from typing import Any
 
 import lightning as L
 from lightning.pytorch.loggers import CSVLogger
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import nn
 
 from tf_lab.config.groups import TrainerSettings
@@ -58,43 +58,62 @@ def fit_weights(
         TFLabError: the file is there, and of another identity; or as of `fit`.
     """
     named = isinstance(trainer.devices, list)  # which, not how many
-    alone = replace(trainer, devices=trainer.devices[:1] if named else 1, strategy="auto")
+    alone = replace(one_device(trainer), devices=trainer.devices[:1] if named else 1)
+
+    def scores() -> dict[str, float]:  # of the weights as they are now
+        return _scores(score(module, data, alone), sets)
+
+    def reuse() -> bool:
+        if not output.exists():
+            return False
+        found = _scores_of(output, identity)
+        print(f"reusing the identical finished {output}", flush=True)
+        if {name.partition("/")[0] for name in found} < set(sets):  # it was made without one
+            network.load_state_dict(load_file(output))
+            found = scores()
+        print(found)
+        return True
 
     if settings.steps == 0 and finish is None:
-        print(_scores(score(module, data, alone), sets))
+        print(scores())
         return
-    if _is_made(output, identity):
+    if reuse():
         return
     directory = output.with_name(f"{output.stem}-{identity}")
     with rank_zero_lock(directory, "pre-training") if settings.steps else nullcontext():
-        if _is_made(output, identity):  # by another process, meanwhile
+        if reuse():  # what another process made, meanwhile
             return
         if settings.steps > 0:
             loggers = [CSVLogger(directory, name="logs")]
             fit(module, data, directory, alone, settings, loggers=loggers)
-        scores = _scores(score(module, data, alone), sets)
+        found = scores()
         if finish is not None:
             finish()
-        _write(network, output, {**info, "identity": identity, "scores": scores})
+        if output.exists():  # another training has made it: this one's state stays
+            _scores_of(output, identity)
+        _write(network, output, {**info, "identity": identity, "scores": found})
         (directory / LAST).unlink(missing_ok=True)
 
 
-def _is_made(output: Path, identity: str) -> bool:
-    """Whether the weights are there already.
+def one_device(trainer: TrainerSettings) -> TrainerSettings:
+    """The settings with the one device that is used, whatever is asked for."""
+    return replace(trainer, devices=1, strategy="auto")
+
+
+def _scores_of(output: Path, identity: str) -> dict[str, float]:
+    """The scores of the file, which is of this identity.
 
     Raises:
-        TFLabError: others are.
+        TFLabError: it is of another.
     """
-    if not output.exists():
-        return False
-    info = read_info(output)
+    cure = f"give another output=, or delete it: rm {shlex.quote(str(output))}"
+    try:
+        info = read_info(output)
+    except TFLabError as error:
+        raise TFLabError(f"{output}: there already, and no such weights; {cure}") from error
     if info.get("identity") != identity:
-        raise TFLabError(
-            f"{output}: there already, of other settings or data; give another output=, or "
-            f"delete it: rm {shlex.quote(str(output))}"
-        )
-    print(f"reusing the identical finished {output}: {info['scores']}")
-    return True
+        raise TFLabError(f"{output}: there already, of other settings or data; {cure}")
+    return dict(info["scores"])
 
 
 def _write(network: nn.Module, output: Path, info: dict[str, Any]) -> None:

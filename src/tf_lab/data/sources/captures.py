@@ -73,7 +73,7 @@ class PreparedSource(DataSource):
 
     def has(self, split: str) -> bool:
         """See `DataSource`."""
-        return bool((self.known.scenes or self.captures((split,)))[split])
+        return bool((self.known.scenes or self.captures((split,))).get(split))
 
     def scenes(self, *splits: str) -> dict[str, dict[str, Path]]:
         """See `DataSource`; a run that knows its scenes has those."""
@@ -91,7 +91,8 @@ class PreparedSource(DataSource):
         key = self.import_settings.key
         digest = {s: hash_of([key, *table[s].items()], 16) for s in splits}
         versions = {"groundtruth": groundtruth.VERSION}
-        return Content(versions, digest.get("train"), digest.get("test"), shards, scenes=table)
+        train, test = digest.get("train"), digest.get("test")
+        return Content(versions, train=train, test=test, shards=shards, scenes=table)
 
     def directory(self, name: str, digest: str | None) -> Path:
         """See `DataSource`."""
