@@ -83,6 +83,14 @@ def test_what_else_differs_makes_runs_incomparable(tmp_path: Path, other: str) -
     assert read_run(write_run(tmp_path, other, 0, [0.5])).settings != ours.settings
 
 
+def test_an_encoder_of_ours_is_told_by_its_name(tmp_path: Path) -> None:
+    """What is in its file tells two of one name apart; another's file has no name to go by."""
+    given = "encoder.weights={} content.encoder=abc"
+    for word, name in (("shipped", "shipped"), ("mine.safetensors", None)):
+        run = read_run(write_run(tmp_path / word, given.format(word), 0, [0.5]))
+        assert run.settings.get("encoder.weights") == name
+
+
 def test_networks_that_are_only_tested_are_rows_of_one_study(tmp_path: Path) -> None:
     """A study's networks on a second test set: each run begins with another one."""
 

@@ -158,6 +158,9 @@ def _trained_as(config: TrainConfig) -> dict[str, Any]:
     settings = _of_any_row(training_identity(config))
     # which stereo there is, the row says with its inputs
     settings["content"] = {k: v for k, v in settings["content"].items() if k != "stereo"}
+    weights = config.encoder.weights
+    if "weights" not in settings["encoder"] and not Path(weights).suffix:  # ours: no file's name
+        settings["encoder"] = {**settings["encoder"], "weights": weights}
     return settings
 
 
