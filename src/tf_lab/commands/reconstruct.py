@@ -162,7 +162,7 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path, sco
     scores: Scores | None = None
     with progress_bar() as bar:
         depth = "fusing its own depth to score it (score=false: not)"
-        task = bar.add_task(depth if score else "drawing", total=None)
+        task = bar.add_task(depth if score else "drawing", total=1)
         with own_groundtruth(capture) if score else nullcontext() as groundtruth:
             bar.update(task, description="scoring")
             if groundtruth is not None:
@@ -171,6 +171,7 @@ def _score_and_draw(capture: Capture, result: Reconstruction, picture: Path, sco
         bar.update(task, description="drawing")
         fscore = scores["fscore"] if scores else None
         compare(result.mesh, truth, images, picture, capture.name, fscore)
+        bar.update(task, completed=1)
     if scores:
         print("against the mesh fused from its own depth:")
         print(format_table([(capture.name, scores)], first="Scene"))
