@@ -9,6 +9,7 @@ import pytest
 from helpers.line import CPU, Line, Numbers
 from tf_lab.errors import TFLabError
 from tf_lab.training.clusters import check_processes, cluster_plugins, telling_lost_processes
+from tf_lab.training.evaluation import evaluate_network
 from tf_lab.training.fit import FitSettings, fit
 
 
@@ -38,6 +39,23 @@ def test_a_checkpoint_of_another_in_the_working_folder_is_not_loaded(
     line = Line()
     fit(line, Numbers, tmp_path / "own", CPU, FitSettings(3, 100), loggers=[])
     assert line.seen == [0.0, 1.0, 2.0]  # from the start
+
+
+def test_nor_is_it_into_what_is_tested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Tested(Line):
+        run, tell = tmp_path / "run", None
+
+        def test_step(self, batch: Any, batch_idx: int) -> dict[str, float]:
+            self.seen.append(self.slope.item())
+            return {"fscore": 0.0}
+
+    monkeypatch.chdir(tmp_path)
+    fit(Tested(), Numbers, tmp_path / "other", CPU, FitSettings(6, 100), loggers=[])
+    (tmp_path / "other" / "last.ckpt").rename(tmp_path / "hpc_ckpt_1.ckpt")
+    slurm(monkeypatch, 1)
+    module: Any = Tested()
+    evaluate_network(module, [tmp_path], accelerator="cpu", devices=1)
+    assert module.seen == [0.0]  # its own slope
 
 
 def test_a_job_of_one_task_trains_on_all_its_devices(monkeypatch: pytest.MonkeyPatch) -> None:
